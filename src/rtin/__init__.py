@@ -1,0 +1,62 @@
+"""Adaptive right-triangulated terrain meshes, with a guaranteed vertical error.
+
+The names below load their modules on first use, so that ``import rtin`` and ``rtin --help`` stay
+quick: Numba alone takes half a second to import.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from rtin._version import __version__
+
+if TYPE_CHECKING:
+    from rtin.coarsening import coarsen, coarsen_levels
+    from rtin.criteria import VerticalError, vertex_errors, vertical_error
+    from rtin.grid import Grid
+    from rtin.io import read_grid, read_mesh, write_mesh
+    from rtin.mesh import TriangleMesh
+    from rtin.plotting import plot
+
+_MODULE_OF = {
+    "Grid": "rtin.grid",
+    "TriangleMesh": "rtin.mesh",
+    "VerticalError": "rtin.criteria",
+    "coarsen": "rtin.coarsening",
+    "coarsen_levels": "rtin.coarsening",
+    "plot": "rtin.plotting",
+    "read_grid": "rtin.io",
+    "read_mesh": "rtin.io",
+    "vertex_errors": "rtin.criteria",
+    "vertical_error": "rtin.criteria",
+    "write_mesh": "rtin.io",
+}
+_SUBMODULES = ("io", "samples", "validity")
+
+__all__ = [
+    "Grid",
+    "TriangleMesh",
+    "VerticalError",
+    "__version__",
+    "coarsen",
+    "coarsen_levels",
+    "plot",
+    "read_grid",
+    "read_mesh",
+    "vertex_errors",
+    "vertical_error",
+    "write_mesh",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name in _SUBMODULES:
+        return import_module(f"rtin.{name}")
+    if name in _MODULE_OF:
+        value = getattr(import_module(_MODULE_OF[name]), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'rtin' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_SUBMODULES])

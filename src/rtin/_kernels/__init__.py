@@ -1,0 +1,1 @@
+"""Numba kernels: scalars and contiguous arrays in and out, no checks, no files, no messages."""

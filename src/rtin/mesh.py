@@ -1,0 +1,125 @@
+"""The triangle mesh: vertices in the world and triangles over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtin.grid import as_crs
+
+if TYPE_CHECKING:
+    import pyproj
+
+__all__ = ["TriangleMesh"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TriangleMesh:
+    """A mesh of triangles over a terrain.
+
+    The constructor takes the arrays as they are and checks only kinds, shapes and that indices
+    exist; ``validity.check`` says whether the mesh is a right one, and ``from_triangles`` brings
+    foreign triangles into the order below.
+
+    Parameters
+    ----------
+    vertices : array_like of float64, shape (n, 3)
+        x east, y north, z up, in the units of the CRS and of the heights.
+    triangles : array_like of int32, shape (m, 3)
+        Vertex numbers, counter-clockwise from above. Vertices 0 and 1 of each end its longest
+        edge (in a mesh coarsened from a grid: the hypotenuse on the lattice).
+    crs : pyproj.CRS or anything pyproj takes, optional
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong or a triangle names a vertex that does not exist.
+    TypeError
+        If the triangles are not whole numbers.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    crs: pyproj.CRS | None = None
+
+    def __post_init__(self) -> None:
+        vertices = _as_vertices(self.vertices)
+        triangles = _as_triangles(self.triangles, len(vertices))
+        vertices.flags.writeable = False
+        triangles.flags.writeable = False
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "triangles", triangles)
+        object.__setattr__(self, "crs", as_crs(self.crs))
+
+    @classmethod
+    def from_triangles(
+        cls,
+        vertices: ArrayLike,
+        triangles: ArrayLike,
+        crs: Any = None,  # noqa: ANN401
+    ) -> TriangleMesh:
+        """Return a mesh of foreign triangles, each put in the order that ``TriangleMesh`` wants.
+
+        Triangles are turned counter-clockwise seen from above and rotated until vertices 0 and 1
+        end the longest edge, measured in x and y (the first of equal ones, walking from the
+        triangle's own vertex 0). Neither the vertices nor the order of the triangles changes.
+        """
+        mesh = cls(vertices, triangles, crs)  # type: ignore[arg-type]
+        corners = mesh.triangles.copy()
+        clockwise = mesh.signed_areas() < 0.0
+        corners[clockwise] = corners[clockwise][:, ::-1]
+        points = mesh.vertices[corners, :2]
+        edges = np.roll(points, -1, axis=1) - points
+        first = np.argmax((edges**2).sum(axis=2), axis=1)
+        order = (first[:, np.newaxis] + np.arange(3)) % 3
+        return cls(mesh.vertices, np.take_along_axis(corners, order, axis=1), mesh.crs)
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices."""
+        return len(self.vertices)
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles."""
+        return len(self.triangles)
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Smallest and largest x, y and z, shape (2, 3)."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def signed_areas(self) -> NDArray[np.float64]:
+        """Return each triangle's area in the xy plane, positive where counter-clockwise."""
+        corners = self.vertices[self.triangles, :2]
+        along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        areas = 0.5 * (along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])
+        return np.asarray(areas, dtype=np.float64)
+
+    def __repr__(self) -> str:
+        crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]
+        return f"<TriangleMesh {self.n_vertices} vertices, {self.n_triangles} triangles, {crs}>"
+
+
+def _as_vertices(values: ArrayLike) -> NDArray[np.float64]:
+    vertices = np.ascontiguousarray(values, dtype=np.float64).view()
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ValueError(f"vertices must have shape (n, 3), got {vertices.shape}")
+    return vertices
+
+
+def _as_triangles(values: ArrayLike, n_vertices: int) -> NDArray[np.int32]:
+    given = np.asarray(values)
+    if given.size and given.dtype.kind not in "iu":
+        raise TypeError(f"triangles must be whole numbers, got an array of {given.dtype}")
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ValueError(f"triangles must have shape (m, 3), got {given.shape}")
+    if given.size and (given.min() < 0 or given.max() >= n_vertices):
+        raise ValueError(
+            f"triangles must name vertices 0 to {n_vertices - 1}, "
+            f"got numbers from {given.min()} to {given.max()}"
+        )
+    return np.ascontiguousarray(given, dtype=np.int32).view()
