@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Grid"]
 
 _CHUNK_SAMPLES = 1 << 18
+_NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,7 +47,7 @@ class Grid:
     """
 
     heights: NDArray[np.floating[Any]]
-    transform: Affine = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+    transform: Affine = _NORTH_UP
     crs: pyproj.CRS | None = None
     has_voids: bool = field(init=False)
 

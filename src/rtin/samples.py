@@ -1,4 +1,4 @@
-"""Real elevation models to try things on, found in matplotlib's sample data: nothing to download."""
+"""Real elevation models to try things on, from matplotlib's sample data: no download."""
 
 from __future__ import annotations
 

@@ -1,0 +1,72 @@
+"""The one decorator of all kernels, and where their compiled code is kept."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import config
+
+__all__ = ["compiled_before", "jit"]
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _fallback_cache() -> str:
+    """Return a folder of this user's own for compiled kernels, for when Numba finds none.
+
+    Compiled code is loaded from there again, so a folder that anybody else could write to (or
+    made before us) is not used: a fresh one that lives as long as the process replaces it.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
+    folder = Path(tempfile.gettempdir()) / f"rtin-kernels-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    if folder.is_dir() and not folder.is_symlink() and own and not status.st_mode & 0o022:
+        return str(folder)
+    return tempfile.mkdtemp(prefix="rtin-kernels-")
+
+
+def _cache_folder() -> str:
+    """Return the folder to impose on Numba, or "" where its own choice works."""
+    if config.CACHE_DIR:
+        return config.CACHE_DIR if _is_writable(Path(config.CACHE_DIR)) else _fallback_cache()
+    in_tree = Path(__file__).parent / "__pycache__"
+    user_wide = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
+    if _is_writable(in_tree) or _is_writable(user_wide):
+        return ""
+    return _fallback_cache()
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
+def jit(function: Callable[..., Any]) -> Any:
+    """Compile a kernel on first use, without the GIL, and keep the result on disk."""
+    before = config.CACHE_DIR
+    config.CACHE_DIR = _CACHE_FOLDER or before
+    try:
+        return numba.njit(cache=True, nogil=True)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+def compiled_before(kernel: Any) -> bool:
+    """Return whether the compiled code of ``kernel`` lies on disk, for any argument types."""
+    if config.DISABLE_JIT:
+        return True
+    folder = Path(kernel._cache.cache_path)
+    name = f"{kernel.py_func.__qualname__}-{kernel.py_func.__code__.co_firstlineno}"
+    return any(folder.glob(f"*.{name}.*.nbi"))

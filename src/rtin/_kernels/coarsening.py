@@ -1,0 +1,518 @@
+"""Arithmetic of the coarsening: which samples fit, what a kept vertex entails, the mesh of it.
+
+``kept`` holds a byte for each sample of the lattice, 1 where the vertex is kept. Two rules say
+which vertices the least mesh keeps, and no others:
+
+    closure     a kept vertex keeps both its apexes
+    criterion   a kept apex whose triangle does not fit keeps the midpoint of its hypotenuse
+
+They only ever add, so any order, and any split of the rows among threads, ends in the same mesh.
+"""
+
+import heapq
+
+import numpy as np
+
+from rtin._kernels._jit import jit
+from rtin._kernels.lattice import (
+    VERTEX,
+    apexes,
+    hypotenuse,
+    is_centre,
+    is_inside,
+    is_unit,
+    midpoint,
+    packed,
+    row_spans,
+    spacing_of,
+    unpacked,
+)
+
+CHUNK = 64
+
+# --- which triangles fit ------------------------------------------------------------------------
+
+
+@jit
+def triangle_plane(heights, row, col, spacing, direction):
+    """Plane through the corners of a triangle: height at the apex, slope per row, slope per column.
+
+    The corners lie a power of two apart, so for float32 heights of one range nothing is rounded.
+    """
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+    apex = np.float64(heights[row, col])
+    a = np.float64(heights[a_row, a_col])
+    b = np.float64(heights[b_row, b_col])
+    if not is_centre(row, col, spacing):
+        if a_col == col:
+            return apex, (a - apex) / (a_row - row), (b - apex) / (b_col - col)
+        return apex, (b - apex) / (b_row - row), (a - apex) / (a_col - col)
+    towards_apex = (a + b) / 2 - apex
+    if a_row == b_row:
+        return apex, towards_apex / (a_row - row), (a - b) / (a_col - b_col)
+    return apex, (a - b) / (a_row - b_row), towards_apex / (a_col - col)
+
+
+@jit
+def midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction):
+    """Whether the midpoint of the hypotenuse is out of tolerance; False where a void is involved.
+
+    Most triangles that must be split show it there, for a tenth of the cost of the whole test.
+    """
+    n_rows, n_cols = heights.shape
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+    if max(a_row, b_row) >= n_rows or max(a_col, b_col) >= n_cols:
+        return False
+    mid_row, mid_col = midpoint(row, col, spacing, direction)
+    between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
+    allowed = max_error if tolerance is None else tolerance[mid_row, mid_col]
+    return abs(between - heights[mid_row, mid_col]) > allowed
+
+
+@jit
+def faults_in_row(heights, row, start, end, value, slope, max_error, tolerance):
+    """Number of samples of a row that are void or further from value + slope * i than allowed."""
+    samples = heights[row, start:end]
+    limits = None if tolerance is None else tolerance[row, start:end]
+    faults = 0
+    for i in range(samples.size):
+        allowed = max_error if limits is None else limits[i]
+        faults += not abs(samples[i] - (value + slope * i)) <= allowed
+    return faults
+
+
+@jit
+def valid_in_row(heights, row, start, end):
+    """Number of samples of a row that are not void."""
+    valid = 0
+    for height in heights[row, start:end]:
+        valid += height == height
+    return valid
+
+
+@jit
+def complete_triangle_fails(heights, max_error, tolerance, row, col, spacing, direction):
+    """Whether a triangle without voids has a sample out of tolerance."""
+    apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
+    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
+    for sample_row in range(first, last + 1):
+        distance = abs(sample_row - row)
+        start, end = left + left_step * distance, right + right_step * distance + 1
+        value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
+        if faults_in_row(heights, sample_row, start, end, value, col_slope, max_error, tolerance):
+            return True
+    return False
+
+
+@jit
+def triangle_fails_or_is_mixed(heights, max_error, tolerance, row, col, spacing, direction):
+    """Whether a triangle has a valid sample, and one that is void or out of tolerance.
+
+    Samples below or to the right of the raster are void.
+    """
+    n_rows, n_cols = heights.shape
+    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
+    apex, row_slope, col_slope = np.nan, np.nan, np.nan
+    if last < n_rows and max(right, right + right_step * spacing) < n_cols:
+        apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
+    valid, faults = 0, 0
+    for sample_row in range(first, last + 1):
+        distance = abs(sample_row - row)
+        start, end = left + left_step * distance, right + right_step * distance + 1
+        if sample_row >= n_rows or end > n_cols:
+            faults += 1
+            end = n_cols if sample_row < n_rows else start
+        if valid == 0:
+            valid = valid_in_row(heights, sample_row, start, end)
+        if faults == 0:
+            value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
+            faults = faults_in_row(
+                heights, sample_row, start, end, value, col_slope, max_error, tolerance
+            )
+        if valid > 0 and faults > 0:
+            return True
+    return False
+
+
+@jit
+def triangle_error(heights, row, col, spacing, direction):
+    """Largest distance of a sample of a triangle without voids from its plane."""
+    apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
+    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
+    largest = 0.0
+    for sample_row in range(first, last + 1):
+        distance = abs(sample_row - row)
+        start, end = left + left_step * distance, right + right_step * distance + 1
+        value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
+        # Counting runs at vector speed, a running maximum does not: look only where it rises.
+        if faults_in_row(heights, sample_row, start, end, value, col_slope, largest, None):
+            for i in range(end - start):
+                largest = max(
+                    largest, abs(heights[sample_row, start + i] - (value + col_slope * i))
+                )
+    return largest
+
+
+# --- the least mesh -----------------------------------------------------------------------------
+
+
+@jit
+def with_room(array, n_needed):
+    """The array, or a copy at least twice as long where it is too short."""
+    if n_needed <= array.size:
+        return array
+    larger = np.empty(max(n_needed, 2 * array.size), array.dtype)
+    larger[: array.size] = array
+    return larger
+
+
+@jit
+def is_open(kept, first_row, end_row, row, col):
+    """Whether a vertex of the lattice is still to be kept, as far as these rows can tell."""
+    size = kept.shape[0] - 1
+    return is_inside(row, col, size) and not (first_row <= row < end_row and kept[row, col] != 0)
+
+
+@jit
+def push_consequences(kept, first_row, end_row, row, col, stack, n_stack):
+    """Put what a newly kept vertex entails on the stack: its apexes, and tests of its triangles."""
+    spacing = spacing_of(row, col)
+    if not is_unit(row, col, spacing):
+        for direction in range(4):
+            mid_row, mid_col = midpoint(row, col, spacing, direction)
+            if is_open(kept, first_row, end_row, mid_row, mid_col):
+                stack[n_stack] = packed(row, col, direction)
+                n_stack += 1
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing)
+    if is_open(kept, first_row, end_row, p_row, p_col):
+        stack[n_stack] = packed(p_row, p_col, VERTEX)
+        n_stack += 1
+    if is_open(kept, first_row, end_row, q_row, q_col):
+        stack[n_stack] = packed(q_row, q_col, VERTEX)
+        n_stack += 1
+    return n_stack
+
+
+@jit
+def settle(heights, is_complete, max_error, tolerance, kept, first_row, end_row, finest, work):
+    """Apply both rules to the rows first_row to end_row until nothing changes there.
+
+    ``work`` lists triangles to test and vertices to keep. Returns the vertices to keep that lie in
+    other rows, and the triangles whose apex has a spacing below ``finest``, left untested.
+    """
+    stack, n_stack = np.empty(work.size + 64, np.int64), work.size
+    stack[:n_stack] = work
+    elsewhere, n_elsewhere = np.empty(64, np.int64), 0
+    untested, n_untested = np.empty(64, np.int64), 0
+    while n_stack > 0:
+        stack = with_room(stack, n_stack + 6)
+        n_stack -= 1
+        item = stack[n_stack]
+        row, col, direction = unpacked(item)
+        if direction == VERTEX:
+            if not first_row <= row < end_row:
+                elsewhere = with_room(elsewhere, n_elsewhere + 1)
+                elsewhere[n_elsewhere] = item
+                n_elsewhere += 1
+            elif kept[row, col] == 0:
+                kept[row, col] = 1
+                n_stack = push_consequences(kept, first_row, end_row, row, col, stack, n_stack)
+            continue
+        spacing = spacing_of(row, col)
+        mid_row, mid_col = midpoint(row, col, spacing, direction)
+        if not is_open(kept, first_row, end_row, mid_row, mid_col):
+            continue
+        if spacing < finest:
+            untested = with_room(untested, n_untested + 1)
+            untested[n_untested] = item
+            n_untested += 1
+            continue
+        fails = midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction)
+        if not fails and not is_complete:
+            fails = triangle_fails_or_is_mixed(
+                heights, max_error, tolerance, row, col, spacing, direction
+            )
+        elif not fails and spacing > 1:
+            fails = complete_triangle_fails(
+                heights, max_error, tolerance, row, col, spacing, direction
+            )
+        if fails:
+            stack[n_stack] = packed(mid_row, mid_col, VERTEX)
+            n_stack += 1
+    return elsewhere[:n_elsewhere], untested[:n_untested]
+
+
+# --- the closure --------------------------------------------------------------------------------
+
+
+@jit
+def keeps_any(kept, row, col, row_step, col_step):
+    """Whether one of the two vertices a step before and behind is kept."""
+    size = kept.shape[0] - 1
+    before = is_inside(row - row_step, col - col_step, size) and (
+        kept[row - row_step, col - col_step] != 0
+    )
+    return before or (
+        is_inside(row + row_step, col + col_step, size)
+        and kept[row + row_step, col + col_step] != 0
+    )
+
+
+@jit
+def close_edge_vertices(kept, spacing, first, end, n_cols):
+    """Keep each edge vertex that is a corner of the cell of a kept centre vertex one level below.
+
+    ``first`` and ``end`` count rows of this level: row first * spacing is the first one.
+    """
+    half = spacing // 2
+    for row in range(first * spacing, end * spacing, spacing):
+        start = 0 if row & spacing else spacing
+        for col in range(start, n_cols, 2 * spacing):
+            if kept[row, col] == 0 and (
+                keeps_any(kept, row, col, half, half) or keeps_any(kept, row, col, half, -half)
+            ):
+                kept[row, col] = 1
+
+
+@jit
+def close_centre_vertices(kept, spacing, first, end, n_cols):
+    """Keep each centre vertex next to a kept edge vertex, or at a corner of a kept centre's cell.
+
+    Where all vertices of this level are kept already, nothing changes. ``first`` and ``end``
+    count rows of cells: row (2 * first + 1) * spacing is the first one.
+    """
+    half = spacing // 2
+    for row in range((2 * first + 1) * spacing, (2 * end + 1) * spacing, 2 * spacing):
+        for col in range(spacing, n_cols, 2 * spacing):
+            if kept[row, col] != 0:
+                continue
+            beside = kept[row - spacing, col] | kept[row + spacing, col]
+            beside |= kept[row, col - spacing] | kept[row, col + spacing]
+            if half > 0:
+                beside |= kept[row - half, col - half] | kept[row + half, col + half]
+                beside |= kept[row - half, col + half] | kept[row + half, col - half]
+            kept[row, col] = beside != 0
+
+
+# --- budgets ------------------------------------------------------------------------------------
+
+
+@jit
+def keep_with_closure(kept, item, stack, added, n_added):
+    """Keep a vertex and all it needs; append each new one to ``added``."""
+    size = kept.shape[0] - 1
+    stack[0], n_stack = item, 1
+    while n_stack > 0:
+        n_stack -= 1
+        row, col, _ = unpacked(stack[n_stack])
+        if kept[row, col] != 0:
+            continue
+        kept[row, col] = 1
+        stack = with_room(stack, n_stack + 2)
+        added = with_room(added, n_added + 1)
+        added[n_added] = packed(row, col, VERTEX)
+        n_added += 1
+        p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
+        if is_inside(p_row, p_col, size) and kept[p_row, p_col] == 0:
+            stack[n_stack] = packed(p_row, p_col, VERTEX)
+            n_stack += 1
+        if is_inside(q_row, q_col, size) and kept[q_row, q_col] == 0:
+            stack[n_stack] = packed(q_row, q_col, VERTEX)
+            n_stack += 1
+    return added, n_added
+
+
+@jit
+def triangles_gained(row, col, n_rows, n_cols):
+    """How many triangles more a newly kept vertex makes: one for each apex inside the raster."""
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
+    gained = 0 <= p_row < n_rows and 0 <= p_col < n_cols
+    return gained + (0 <= q_row < n_rows and 0 <= q_col < n_cols)
+
+
+@jit
+def push_triangles(heap, heights, kept, row, col):
+    """Put the triangles around a kept vertex on the heap, worst first."""
+    size = kept.shape[0] - 1
+    n_rows, n_cols = heights.shape
+    spacing = spacing_of(row, col)
+    if spacing == 0 or is_unit(row, col, spacing):
+        return
+    for direction in range(4):
+        mid_row, mid_col = midpoint(row, col, spacing, direction)
+        if not is_inside(mid_row, mid_col, size) or kept[mid_row, mid_col] != 0:
+            continue
+        a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+        # After the voids are split off, a triangle with a void corner has no valid sample at all.
+        if max(a_row, b_row) >= n_rows or max(a_col, b_col) >= n_cols:
+            continue
+        error = triangle_error(heights, row, col, spacing, direction)
+        if heights[a_row, a_col] == heights[a_row, a_col] and error > 0.0:
+            heapq.heappush(heap, (-error, packed(row, col, direction)))
+
+
+@jit
+def split_worst_first(
+    heights, kept, apex_items, n_vertices, n_triangles, max_vertices, max_triangles
+):
+    """Split the worst triangle again and again while the budgets last.
+
+    ``apex_items`` lists the kept vertices, ``n_vertices`` and ``n_triangles`` count their mesh.
+    The mesh is one of the least ones whenever the worst triangle left is better than all split
+    before; ``kept`` is left at the last such mesh within the budgets.
+    """
+    n_rows, n_cols = heights.shape
+    heap = [(0.0, np.int64(0))]
+    heap.pop()
+    for item in apex_items:
+        row, col, _ = unpacked(item)
+        push_triangles(heap, heights, kept, row, col)
+    stack = np.empty(256, np.int64)
+    added, n_added, n_least = np.empty(1024, np.int64), 0, 0
+    reached = np.inf
+    while len(heap) > 0:
+        error, item = heapq.heappop(heap)
+        row, col, direction = unpacked(item)
+        mid_row, mid_col = midpoint(row, col, spacing_of(row, col), direction)
+        if kept[mid_row, mid_col] != 0:
+            continue
+        if -error < reached:
+            reached, n_least = -error, n_added
+        first_new = n_added
+        midpoint_item = packed(mid_row, mid_col, VERTEX)
+        added, n_added = keep_with_closure(kept, midpoint_item, stack, added, n_added)
+        for i in range(first_new, n_added):
+            row, col, _ = unpacked(added[i])
+            n_triangles += triangles_gained(row, col, n_rows, n_cols)
+        n_vertices += n_added - first_new
+        if n_vertices > max_vertices or n_triangles > max_triangles:
+            break
+        for i in range(first_new, n_added):
+            row, col, _ = unpacked(added[i])
+            push_triangles(heap, heights, kept, row, col)
+    else:
+        n_least = n_added
+    for i in range(n_least, n_added):
+        row, col, _ = unpacked(added[i])
+        kept[row, col] = 0
+
+
+# --- the mesh of a closed set -------------------------------------------------------------------
+
+
+@jit
+def is_valid(heights, row, col):
+    """Whether there is a sample with a height at that place of the lattice."""
+    return row < heights.shape[0] and col < heights.shape[1] and not np.isnan(heights[row, col])
+
+
+@jit
+def is_present(heights, kept, row, col, spacing, direction):
+    """Whether the triangle at a kept apex is in the mesh: not split, and without a void corner."""
+    size = kept.shape[0] - 1
+    if spacing == 0:
+        return False
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+    if not (is_inside(a_row, a_col, size) and is_inside(b_row, b_col, size)):
+        return False
+    if not is_unit(row, col, spacing):
+        mid_row, mid_col = midpoint(row, col, spacing, direction)
+        if kept[mid_row, mid_col] != 0:
+            return False
+    return (
+        is_valid(heights, row, col)
+        and is_valid(heights, a_row, a_col)
+        and is_valid(heights, b_row, b_col)
+    )
+
+
+@jit
+def kept_in_chunk(kept, row, start, end):
+    """Number of kept vertices of a row from start to end."""
+    count = 0
+    for col in range(start, end):
+        count += kept[row, col] != 0
+    return count
+
+
+@jit
+def mark_used(heights, kept, used):
+    """Set ``used`` at every vertex that a triangle of the mesh has."""
+    n_rows, n_cols = heights.shape
+    for row in range(n_rows):
+        for start in range(0, n_cols, CHUNK):
+            end = min(start + CHUNK, n_cols)
+            if kept_in_chunk(kept, row, start, end) == 0:
+                continue
+            for col in range(start, end):
+                if kept[row, col] == 0:
+                    continue
+                spacing = spacing_of(row, col)
+                for direction in range(4):
+                    if is_present(heights, kept, row, col, spacing, direction):
+                        a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+                        used[row, col] = used[a_row, a_col] = used[b_row, b_col] = 1
+
+
+@jit
+def count_mesh(heights, kept, used, first_row, end_row, n_vertices, n_triangles):
+    """Write how many vertices each row has, and how many triangles have their apex there."""
+    n_cols = heights.shape[1]
+    for row in range(first_row, end_row):
+        n_vertices[row] = n_triangles[row] = 0
+        for start in range(0, n_cols, CHUNK):
+            end = min(start + CHUNK, n_cols)
+            n_used = kept_in_chunk(used, row, start, end)
+            n_vertices[row] += n_used
+            if n_used == 0:
+                continue
+            for col in range(start, end):
+                if used[row, col] != 0:
+                    spacing = spacing_of(row, col)
+                    for direction in range(4):
+                        n_triangles[row] += is_present(heights, kept, row, col, spacing, direction)
+
+
+@jit
+def fill_vertices(heights, used, transform, first_row, end_row, first_vertex, numbers, vertices):
+    """Number the vertices of some rows in row-major order and write their x, y and z."""
+    n_cols = heights.shape[1]
+    for row in range(first_row, end_row):
+        number = first_vertex[row]
+        for start in range(0, n_cols, CHUNK):
+            end = min(start + CHUNK, n_cols)
+            if kept_in_chunk(used, row, start, end) == 0:
+                continue
+            for col in range(start, end):
+                if used[row, col] != 0:
+                    numbers[row, col] = number
+                    vertices[number, 0] = transform[0] * col + transform[1] * row + transform[2]
+                    vertices[number, 1] = transform[3] * col + transform[4] * row + transform[5]
+                    vertices[number, 2] = heights[row, col]
+                    number += 1
+
+
+@jit
+def fill_triangles(
+    heights, kept, used, first_row, end_row, first_triangle, numbers, flip, triangles
+):
+    """Write the triangles whose apex lies in some rows: hypotenuse first, apex last."""
+    n_cols = heights.shape[1]
+    for row in range(first_row, end_row):
+        number = first_triangle[row]
+        for start in range(0, n_cols, CHUNK):
+            end = min(start + CHUNK, n_cols)
+            if kept_in_chunk(used, row, start, end) == 0:
+                continue
+            for col in range(start, end):
+                if used[row, col] == 0:
+                    continue
+                spacing = spacing_of(row, col)
+                for direction in range(4):
+                    if is_present(heights, kept, row, col, spacing, direction):
+                        a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+                        a, b = numbers[a_row, a_col], numbers[b_row, b_col]
+                        triangles[number, 0] = b if flip else a
+                        triangles[number, 1] = a if flip else b
+                        triangles[number, 2] = numbers[row, col]
+                        number += 1

@@ -1,0 +1,123 @@
+"""Arithmetic of the criteria: Eq. (1) at every vertex, and a mesh's surface at every sample."""
+
+import numpy as np
+
+from rtin._kernels._jit import jit
+
+
+@jit
+def error_between(heights, row, col, row_step, col_step):
+    """Eq. (1): how far a sample is from the middle of those a step before and behind."""
+    before = np.float64(heights[row - row_step, col - col_step])
+    return abs((before + heights[row + row_step, col + col_step]) / 2 - heights[row, col])
+
+
+@jit
+def row_errors(heights, size, row, errors):
+    """Write E(v) of one row: inf where v's longest edge leaves the raster, NaN beside a void."""
+    n_rows, n_cols = heights.shape
+    errors[:] = np.inf
+    spacing = row & -row if 0 < row < size else size
+    step = 1
+    while step < spacing:
+        for col in range(step, n_cols - step, 2 * step):
+            errors[col] = error_between(heights, row, col, 0, step)
+        step *= 2
+    if spacing < size and row + spacing < n_rows:
+        for col in range(0, n_cols, 2 * spacing):
+            errors[col] = error_between(heights, row, col, spacing, 0)
+        runs_down_right = spacing + ((row - spacing) & (2 * spacing))
+        for col in range(runs_down_right, n_cols - spacing, 4 * spacing):
+            errors[col] = error_between(heights, row, col, spacing, spacing)
+        for col in range(runs_down_right ^ (2 * spacing), n_cols - spacing, 4 * spacing):
+            errors[col] = error_between(heights, row, col, spacing, -spacing)
+
+
+@jit
+def fill_errors(heights, size, first_row, end_row, errors):
+    """Write E(v) of some rows."""
+    row_buffer = np.empty(heights.shape[1], np.float64)
+    for row in range(first_row, end_row):
+        row_errors(heights, size, row, row_buffer)
+        for col in range(heights.shape[1]):
+            errors[row, col] = row_buffer[col]
+
+
+@jit
+def keep_by_threshold(heights, size, threshold, first_row, end_row, kept):
+    """Keep the vertices of some rows where E(v) is not less than the threshold."""
+    row_buffer = np.empty(heights.shape[1], np.float64)
+    for row in range(first_row, end_row):
+        row_errors(heights, size, row, row_buffer)
+        for col in range(heights.shape[1]):
+            kept[row, col] |= row_buffer[col] >= threshold
+
+
+@jit
+def columns_between(a_row, a_col, b_row, b_col, row, left, right):
+    """Widen left and right to where the edge from a to b meets a row, if it does."""
+    if row < min(a_row, b_row) or row > max(a_row, b_row):
+        return left, right
+    if a_row == b_row:
+        return min(left, min(a_col, b_col)), max(right, max(a_col, b_col))
+    col = a_col + (row - a_row) * (b_col - a_col) / (b_row - a_row)
+    return min(left, col), max(right, col)
+
+
+@jit
+def fill_surface(places, z, triangles, first_row, surface):
+    """Write a mesh's height at each sample of some rows that it covers.
+
+    ``places`` holds row and column of each vertex. Samples within 1e-9 cells of a triangle count
+    as inside; on a shared edge the last triangle writes, whose plane agrees there.
+    """
+    end_row = first_row + surface.shape[0]
+    n_cols = surface.shape[1]
+    for triangle in range(triangles.shape[0]):
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        a_row, b_row, c_row = places[a, 0], places[b, 0], places[c, 0]
+        top, bottom = min(a_row, b_row, c_row), max(a_row, b_row, c_row)
+        if bottom < first_row or top > end_row - 1:
+            continue
+        a_col, b_col, c_col = places[a, 1], places[b, 1], places[c, 1]
+        determinant = (a_row - c_row) * (b_col - c_col) - (b_row - c_row) * (a_col - c_col)
+        if determinant == 0.0:
+            continue
+        a_rise, b_rise = z[a] - z[c], z[b] - z[c]
+        row_slope = (a_rise * (b_col - c_col) - b_rise * (a_col - c_col)) / determinant
+        col_slope = (b_rise * (a_row - c_row) - a_rise * (b_row - c_row)) / determinant
+        start = max(first_row, int(np.ceil(top - 1e-9)))
+        for row in range(start, min(end_row - 1, int(np.floor(bottom + 1e-9))) + 1):
+            at = min(max(np.float64(row), top), bottom)
+            left, right = np.inf, -np.inf
+            left, right = columns_between(a_row, a_col, b_row, b_col, at, left, right)
+            left, right = columns_between(b_row, b_col, c_row, c_col, at, left, right)
+            left, right = columns_between(c_row, c_col, a_row, a_col, at, left, right)
+            value = z[c] + row_slope * (row - c_row)
+            for col in range(
+                max(0, int(np.ceil(left - 1e-9))), min(n_cols - 1, int(np.floor(right + 1e-9))) + 1
+            ):
+                surface[row - first_row, col] = value + col_slope * (col - c_col)
+
+
+@jit
+def error_statistics(heights, first_row, surface):
+    """Samples compared and uncovered, sums of |e| and e², largest |e| and its row and column."""
+    compared, uncovered = 0, 0
+    total, total_of_squares = 0.0, 0.0
+    largest, worst_row, worst_col = -1.0, -1, -1
+    for i in range(surface.shape[0]):
+        for col in range(surface.shape[1]):
+            height = heights[first_row + i, col]
+            if np.isnan(height):
+                continue
+            error = abs(surface[i, col] - height)
+            if np.isnan(error):
+                uncovered += 1
+                continue
+            compared += 1
+            total += error
+            total_of_squares += error * error
+            if error > largest:
+                largest, worst_row, worst_col = error, first_row + i, col
+    return compared, uncovered, total, total_of_squares, largest, worst_row, worst_col

@@ -1,0 +1,47 @@
+"""Bands of rows for a pool of threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+__all__ = ["row_bands", "run", "thread_count"]
+
+_MOST_BANDS = 16
+_FEWEST_ROWS = 64
+
+
+def thread_count() -> int:
+    """Return how many threads to use: ``RTIN_NUM_THREADS``, or the processors at hand.
+
+    Raises ValueError where that variable is not a whole number from 1 on. The number never changes
+    a result, only the time it takes.
+    """
+    asked = os.environ.get("RTIN_NUM_THREADS", "")
+    if asked:
+        if not asked.isdigit() or int(asked) < 1:
+            raise ValueError(f"RTIN_NUM_THREADS must be a whole number from 1 on, got {asked!r}")
+        return int(asked)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def row_bands(n_rows: int) -> list[tuple[int, int]]:
+    """Return ``(first, end)`` of consecutive bands of rows: the same on any number of threads."""
+    n_bands = max(1, min(n_rows // _FEWEST_ROWS, _MOST_BANDS))
+    edges = [n_rows * i // n_bands for i in range(n_bands + 1)]
+    return list(pairwise(edges))
+
+
+def run(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """Return ``[function(*task) for task in tasks]``, worked off by a pool of threads."""
+    tasks = list(tasks)
+    n_threads = min(thread_count(), len(tasks))
+    if n_threads <= 1:
+        return [function(*task) for task in tasks]
+    with ThreadPoolExecutor(n_threads) as pool:
+        return list(pool.map(lambda task: function(*task), tasks))

@@ -1,0 +1,436 @@
+"""Coarsening: from a raster to a right-triangulated irregular network (RTIN) of few triangles.
+
+Three families of meshes, told apart by what they promise:
+
+``max_error``
+    the least RTIN mesh in which every sample lies within the tolerance of its triangle;
+``max_vertices``, ``max_triangles``
+    the mesh of the smallest such tolerance that fits a budget;
+``threshold``, ``removable``
+    the paper's: vertices marked for removal, by Eq. (1) or by the caller, are removed as far as a
+    conforming mesh allows (algorithm RTIN-Coarsening of Suárez and Plaza, "Four-triangles adaptive
+    algorithms for RTIN terrain meshes").
+
+The RTIN meshes of a lattice are exactly the *closed* sets of its vertices: each kept vertex keeps
+its parents, the apexes of the triangles that share the edge it bisects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtin import _parallel
+from rtin.criteria import lattice_size, require_grid
+from rtin.grid import Grid
+from rtin.mesh import TriangleMesh
+
+__all__ = ["coarsen", "coarsen_levels"]
+
+_Kept = NDArray[np.uint8]
+_Items = NDArray[np.int64]
+_Tolerance = tuple[float, NDArray[np.float64] | None]
+
+# Triangles larger than this part of the lattice are tested before the rows are shared out: they
+# are few, and where they must be split decides what work there is to share.
+_COARSE_PARTS = 32
+_UNLIMITED = np.iinfo(np.int64).max
+
+
+def coarsen(
+    grid: Grid,
+    *,
+    max_error: float | ArrayLike | None = None,
+    max_vertices: int | None = None,
+    max_triangles: int | None = None,
+    threshold: float | None = None,
+    removable: ArrayLike | None = None,
+    keep: ArrayLike | None = None,
+) -> TriangleMesh:
+    """Return a conforming right-triangulated mesh of a grid, with vertices at samples.
+
+    Exactly one of the first five options says what is removed.
+
+    Parameters
+    ----------
+    grid : Grid
+        Heights of any shape from 2 × 2 samples on. The mesh covers exactly the finest triangles
+        (half cells of the lattice) whose three samples have a height.
+    max_error : float or array_like, shape (rows, cols)
+        The least mesh in which every valid sample lies within this vertical distance of the
+        surface, in the unit of the heights; equality is allowed, and so is 0 (the lossless mesh).
+        *Guaranteed* for the mesh returned, everywhere on the surface; no RTIN mesh that keeps the
+        promise has fewer vertices. An array gives each sample its own tolerance.
+    max_vertices, max_triangles : int
+        The mesh of the smallest ``max_error`` that has no more vertices or triangles than this.
+        ``vertical_error(mesh, grid).max`` is the tolerance achieved.
+    threshold : float
+        The paper's criterion: vertices with E(v) < threshold (``vertex_errors``) are removed where
+        the mesh stays conforming. *No promise on the surface*: Eq. (1) is local, and the largest
+        error on real terrain is 1.4 to 2 times the threshold.
+    removable : array_like of bool, shape (rows, cols)
+        The paper's matrix C: True where a vertex is to be removed if the mesh stays conforming.
+    keep : array_like of bool, shape (rows, cols), optional
+        Vertices to keep whatever the criterion says: peaks, ridges, coastlines. Samples without a
+        height, and those of which no finest triangle is whole, can't be kept.
+
+    Returns
+    -------
+    TriangleMesh
+        Vertices in row-major order of their samples, with the raster's heights unchanged;
+        triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
+        bytes on any number of threads.
+
+    Raises
+    ------
+    TypeError
+        If ``grid`` is not a Grid, or an option is of the wrong kind.
+    ValueError
+        If none or several of the five options are given; a tolerance is negative or NaN; an array
+        is not of the grid's shape; a budget is too small for the grid's outline; or the grid has
+        no finest triangle with three heights.
+    MemoryError
+        If the lattice does not fit in memory.
+    """
+    require_grid(grid)
+    name, value = _the_only_option(
+        max_error=max_error,
+        max_vertices=max_vertices,
+        max_triangles=max_triangles,
+        threshold=threshold,
+        removable=removable,
+    )
+    kept_always = _items_to_keep(grid, keep)
+    if name == "max_error":
+        kept = _least_mesh(grid, _as_tolerance(grid, value), kept_always)
+    elif name == "threshold":
+        kept = _closure_of(grid, kept_always, threshold=_as_number("threshold", value))
+    elif name == "removable":
+        kept = _closure_of(grid, kept_always, unmarked=~_as_mask(grid, "removable", value))
+    else:
+        kept = _within_budget(grid, kept_always, name, _as_count(name, value))
+    return _mesh_of(grid, kept)
+
+
+def coarsen_levels(
+    grid: Grid, max_errors: Sequence[float], *, keep: ArrayLike | None = None
+) -> list[TriangleMesh]:
+    """Return the least mesh for each of several tolerances, in the order given.
+
+    Each mesh equals ``coarsen(grid, max_error=...)`` for its tolerance. They are nested: the
+    vertices of a coarser one are among those of a finer one. Every mesh starts from the next
+    coarser one, which makes this quicker than separate calls.
+
+    Parameters
+    ----------
+    grid : Grid
+    max_errors : sequence of float
+        Tolerances in the unit of the heights, in any order.
+    keep : array_like of bool, shape (rows, cols), optional
+        Vertices that every mesh keeps.
+
+    Raises
+    ------
+    TypeError, ValueError, MemoryError
+        As ``coarsen`` does; ValueError if there is no tolerance at all.
+    """
+    require_grid(grid)
+    tolerances = [_as_number("max_errors", value) for value in max_errors]
+    if not tolerances:
+        raise ValueError("max_errors must hold at least one tolerance, got an empty sequence")
+    kept, work = _coarsest(grid), np.concatenate([_roots(grid), _items_to_keep(grid, keep)])
+    meshes = {}
+    for tolerance in sorted(set(tolerances), reverse=True):
+        _settle(grid, kept, work, (tolerance, None))
+        meshes[tolerance] = _mesh_of(grid, kept)
+        work = _triangles_around(kept)
+    return [meshes[tolerance] for tolerance in tolerances]
+
+
+# --- the families -------------------------------------------------------------------------------
+
+
+def _least_mesh(grid: Grid, tolerance: _Tolerance, kept_always: _Items) -> _Kept:
+    kept = _coarsest(grid)
+    _settle(grid, kept, np.concatenate([_roots(grid), kept_always]), tolerance)
+    return kept
+
+
+def _closure_of(
+    grid: Grid,
+    kept_always: _Items,
+    threshold: float | None = None,
+    unmarked: NDArray[np.bool_] | None = None,
+) -> _Kept:
+    """Keep what the outline needs and what is not marked for removal, then close the set."""
+    from rtin._kernels.criteria import keep_by_threshold
+
+    rows, cols = grid.shape
+    kept = _coarsest(grid)
+    if not _is_complete(grid) or kept_always.size:
+        _settle(grid, kept, np.concatenate([_roots(grid), kept_always]), (np.inf, None))
+    if threshold is not None:
+        shared = (grid.heights, lattice_size(grid.shape), threshold)
+        _parallel.run(
+            keep_by_threshold, [(*shared, *band, kept) for band in _parallel.row_bands(rows)]
+        )
+    if unmarked is not None:
+        kept[:rows, :cols] |= unmarked & ~np.isnan(grid.heights)
+    _close(grid, kept)
+    return kept
+
+
+def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _Kept:
+    from rtin._kernels.coarsening import split_worst_first
+
+    kept = _least_mesh(grid, (np.inf, None), kept_always)
+    n_vertices, n_triangles = (
+        int(counts.sum()) for counts in _counts(grid, kept, _used(grid, kept))
+    )
+    least = n_vertices if name == "max_vertices" else n_triangles
+    if budget < least:
+        raise ValueError(
+            f"{name} must be at least {least} for the grid's outline and kept vertices, got {budget}"
+        )
+    max_vertices, max_triangles = _UNLIMITED, _UNLIMITED
+    if name == "max_vertices":
+        max_vertices = budget
+    else:
+        max_triangles = budget
+    items = _as_items(*np.nonzero(kept[: grid.shape[0], : grid.shape[1]]))
+    split_worst_first(
+        grid.heights, kept, items, n_vertices, n_triangles, max_vertices, max_triangles
+    )
+    return kept
+
+
+# --- the two rules ------------------------------------------------------------------------------
+
+
+def _settle(grid: Grid, kept: _Kept, work: _Items, tolerance: _Tolerance) -> None:
+    """Keep what ``work`` and both rules of the least mesh demand.
+
+    Each band of rows is settled by itself; what it needs of other rows is their next round's work.
+    """
+    from rtin._kernels.coarsening import settle
+
+    n_rows = len(kept)
+    shared = (grid.heights, _is_complete(grid), *tolerance, kept)
+    _, work = settle(*shared, 0, n_rows, max(1, (n_rows - 1) // _COARSE_PARTS), work)
+    bands = _parallel.row_bands(n_rows)
+    while work.size:
+        shares = _shared_out(work, bands)
+        tasks = [
+            (*shared, *band, 1, share)
+            for band, share in zip(bands, shares, strict=True)
+            if share.size
+        ]
+        work = np.concatenate([elsewhere for elsewhere, _ in _parallel.run(settle, tasks)])
+
+
+def _close(grid: Grid, kept: _Kept) -> None:
+    """Add parents until nothing changes: one pass from the finest level to the coarsest."""
+    from rtin._kernels.coarsening import close_centre_vertices, close_edge_vertices
+
+    size = len(kept) - 1
+    rows, cols = grid.shape
+    spacing = 1
+    while spacing < size:
+        # Kept vertices outside the raster are midpoints of triangles that reach into it.
+        end_row, end_col = (min(size + 1, n + 4 * spacing) for n in (rows, cols))
+        if spacing > 1:
+            bands = _parallel.row_bands((end_row + spacing - 1) // spacing)
+            _parallel.run(close_edge_vertices, [(kept, spacing, *band, end_col) for band in bands])
+        bands = _parallel.row_bands((end_row + spacing - 1) // (2 * spacing))
+        _parallel.run(close_centre_vertices, [(kept, spacing, *band, end_col) for band in bands])
+        spacing *= 2
+
+
+# --- the mesh of a closed set -------------------------------------------------------------------
+
+
+def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
+    from rtin._kernels.coarsening import fill_triangles, fill_vertices
+
+    used = _used(grid, kept)
+    vertex_counts, triangle_counts = _counts(grid, kept, used)
+    first_vertex, n_vertices = _offsets(vertex_counts)
+    first_triangle, n_triangles = _offsets(triangle_counts)
+    if n_triangles == 0:
+        raise ValueError(
+            "the grid has no triangle to keep: no three neighbouring samples of a cell have heights"
+        )
+    vertices = np.empty((n_vertices, 3), np.float64)
+    triangles = np.empty((n_triangles, 3), np.int32)
+    numbers = np.empty(grid.shape, np.int32)
+    transform = np.array(tuple(grid.transform)[:6], np.float64)
+    flip = grid.transform.determinant > 0.0
+    bands = _parallel.row_bands(grid.shape[0])
+    _parallel.run(
+        fill_vertices,
+        [(grid.heights, used, transform, *band, first_vertex, numbers, vertices) for band in bands],
+    )
+    _parallel.run(
+        fill_triangles,
+        [
+            (grid.heights, kept, used, *band, first_triangle, numbers, flip, triangles)
+            for band in bands
+        ],
+    )
+    return TriangleMesh(vertices, triangles, grid.crs)
+
+
+def _used(grid: Grid, kept: _Kept) -> _Kept:
+    """Return which vertices have a triangle: all kept ones where there is no void."""
+    from rtin._kernels.coarsening import mark_used
+
+    if _is_complete(grid):
+        return kept
+    used = np.zeros(grid.shape, np.uint8)
+    mark_used(grid.heights, kept, used)
+    return used
+
+
+def _counts(grid: Grid, kept: _Kept, used: _Kept) -> tuple[_Items, _Items]:
+    """Return the number of vertices in each row, and of triangles whose apex lies there."""
+    from rtin._kernels.coarsening import count_mesh
+
+    rows = grid.shape[0]
+    n_vertices, n_triangles = np.empty(rows, np.int64), np.empty(rows, np.int64)
+    _parallel.run(
+        count_mesh,
+        [
+            (grid.heights, kept, used, *band, n_vertices, n_triangles)
+            for band in _parallel.row_bands(rows)
+        ],
+    )
+    return n_vertices, n_triangles
+
+
+def _offsets(counts: _Items) -> tuple[_Items, int]:
+    ends = np.cumsum(counts)
+    return ends - counts, int(ends[-1])
+
+
+# --- the lattice --------------------------------------------------------------------------------
+
+
+def _is_complete(grid: Grid) -> bool:
+    """Return whether the grid fills its lattice: square, 2**k + 1 samples a side, no voids."""
+    size = lattice_size(grid.shape)
+    return grid.shape == (size + 1, size + 1) and not grid.has_voids
+
+
+def _coarsest(grid: Grid) -> _Kept:
+    """Return the closed set of the two root triangles: the lattice's corners."""
+    size = lattice_size(grid.shape)
+    try:
+        kept = np.zeros((size + 1, size + 1), np.uint8)
+    except (MemoryError, ValueError):
+        raise MemoryError(
+            f"a grid of {grid.shape[0]} × {grid.shape[1]} samples needs a lattice of "
+            f"{(size + 1) ** 2 / 2**30:.1f} GiB, which can't be had; coarsen windows of it instead"
+        ) from None
+    kept[::size, ::size] = 1
+    return kept
+
+
+def _roots(grid: Grid) -> _Items:
+    """Return the two root triangles, with apexes north-east and south-west."""
+    from rtin._kernels.lattice import packed
+
+    size = lattice_size(grid.shape)
+    if size == 1:
+        return np.empty(0, np.int64)
+    return np.array([packed(0, size, 2), packed(size, 0, 1)], np.int64)
+
+
+def _as_items(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> _Items:
+    from rtin._kernels.lattice import VERTEX
+
+    return (rows.astype(np.int64) << 34) | (cols.astype(np.int64) << 3) | VERTEX
+
+
+def _triangles_around(kept: _Kept) -> _Items:
+    """Return every triangle that may be split next: those at kept apexes, unit ones left out."""
+    rows, cols = np.nonzero(kept)
+    is_unit_apex = (rows ^ cols) & 1 == 1
+    may_split = ~is_unit_apex & (rows + cols > 0)
+    apexes = _as_items(rows[may_split], cols[may_split])
+    return np.concatenate([apexes - 4 + direction for direction in range(4)])
+
+
+def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> list[_Items]:
+    """Return the work of each band of rows."""
+    band_of = np.searchsorted([end for _, end in bands], work >> 34, side="right")
+    order = np.argsort(band_of, kind="stable")
+    return np.split(work[order], np.cumsum(np.bincount(band_of, minlength=len(bands)))[:-1])
+
+
+# --- the door -----------------------------------------------------------------------------------
+
+
+def _the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
+    given = {name: value for name, value in options.items() if value is not None}
+    if len(given) != 1:
+        names = ", ".join(options)
+        raise ValueError(f"give exactly one of {names}; got {', '.join(given) or 'none of them'}")
+    return next(iter(given.items()))
+
+
+def _as_number(name: str, value: Any) -> float:  # noqa: ANN401
+    if isinstance(value, bool | np.bool_ | str) or np.ndim(value) != 0:
+        raise TypeError(f"{name} must be a number, got {value!r}")
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number, got {value!r}") from None
+    if not number >= 0.0:
+        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {number}")
+    return number
+
+
+def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} must be a whole number, got {value!r}")
+    return int(value)
+
+
+def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
+    """Return a tolerance as the kernels take it: one number, or one for each sample."""
+    if np.ndim(value) == 0:
+        return _as_number("max_error", value), None
+    tolerance = np.asarray(value)
+    if tolerance.dtype.kind not in "fiu":
+        raise TypeError(f"max_error must hold numbers, got an array of {tolerance.dtype}")
+    if tolerance.shape != grid.shape:
+        raise ValueError(
+            f"max_error must be a number or have the grid's shape {grid.shape}, "
+            f"got an array of shape {tolerance.shape}"
+        )
+    bad = ~(tolerance >= 0.0)
+    if bad.any():
+        row, col = np.argwhere(bad)[0]
+        raise ValueError(
+            "max_error must be zero or more, in the raster's height units, "
+            f"got {tolerance[row, col]} at row {row}, column {col}"
+        )
+    return 0.0, np.ascontiguousarray(tolerance, np.float64)
+
+
+def _as_mask(grid: Grid, name: str, value: ArrayLike) -> NDArray[np.bool_]:
+    mask = np.asarray(value)
+    if mask.dtype != np.bool_:
+        raise TypeError(f"{name} must be an array of booleans, got one of {mask.dtype}")
+    if mask.shape != grid.shape:
+        raise ValueError(f"{name} must have the grid's shape {grid.shape}, got {mask.shape}")
+    return mask
+
+
+def _items_to_keep(grid: Grid, keep: ArrayLike | None) -> _Items:
+    if keep is None:
+        return np.empty(0, np.int64)
+    return _as_items(*np.nonzero(_as_mask(grid, "keep", keep) & ~np.isnan(grid.heights)))

@@ -1,0 +1,201 @@
+"""Error criteria: what a vertex is worth, and how far a mesh is from its raster.
+
+``vertex_errors`` is Eq. (1) of Suárez and Plaza, "Four-triangles adaptive algorithms for RTIN
+terrain meshes". ``vertical_error`` measures what a mesh achieves, whatever made it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtin import _parallel
+from rtin.grid import Grid
+from rtin.mesh import TriangleMesh
+
+__all__ = ["VerticalError", "lattice_size", "require_grid", "vertex_errors", "vertical_error"]
+
+_SNAP = 1e-6
+
+
+def lattice_size(shape: tuple[int, int]) -> int:
+    """Return 2**k, the cells along a side of the smallest lattice that covers a raster."""
+    return 1 << (max(shape) - 2).bit_length()
+
+
+def require_grid(grid: Grid) -> Grid:
+    """Return ``grid``; raise TypeError where it is something else."""
+    if not isinstance(grid, Grid):
+        raise TypeError(
+            f"a Grid is wanted, got {type(grid).__name__}: wrap heights in rtin.Grid(...)"
+        )
+    return grid
+
+
+def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
+    """Return E(v) of Eq. (1) for every sample, on its own level of the hierarchy.
+
+    E(v) = abs((h(a) + h(b)) / 2 - h(v)), a and b being the ends of the longest edge whose midpoint
+    is v: how far v is from the surface of the mesh one bisection before v.
+
+    Parameters
+    ----------
+    heights : array_like, shape (rows, cols), or Grid
+        Any shape from 2 × 2 on; the raster lies in the north-west corner of its lattice.
+
+    Returns
+    -------
+    ndarray of float32, shape (rows, cols)
+        In the unit of the heights, computed in float64 and rounded once. The lattice's corners,
+        and vertices whose a or b has no height, are inf: they can't be removed. Samples without a
+        height are NaN.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As ``Grid`` does.
+    """
+    from rtin._kernels.criteria import fill_errors
+
+    grid = heights if isinstance(heights, Grid) else Grid(heights)  # type: ignore[arg-type]
+    errors = np.empty(grid.shape, np.float32)
+    size = lattice_size(grid.shape)
+    tasks = [(grid.heights, size, *band, errors) for band in _parallel.row_bands(grid.shape[0])]
+    _parallel.run(fill_errors, tasks)
+    if grid.has_voids:
+        errors[np.isnan(errors) & ~np.isnan(grid.heights)] = np.inf
+    return errors
+
+
+@dataclass(frozen=True)
+class VerticalError:
+    """How far a mesh is from a raster, measured upright at every valid sample.
+
+    Attributes
+    ----------
+    max, rms, mean : float
+        Of abs(surface - sample), in the unit of the heights. NaN where no sample is covered.
+    sample : (int, int)
+        Row and column of the first sample, in row-major order, where the largest error is.
+    n_samples : int
+        Valid samples that the mesh covers.
+    n_uncovered : int
+        Valid samples without any surface above or below; they enter no figure.
+    field : ndarray of float64, shape (rows, cols)
+        surface - sample, computed when first asked for; NaN where there is no sample or no surface.
+    """
+
+    max: float
+    rms: float
+    mean: float
+    sample: tuple[int, int]
+    n_samples: int
+    n_uncovered: int
+    _mesh: TriangleMesh
+    _grid: Grid
+
+    @cached_property
+    def field(self) -> NDArray[np.float64]:
+        """surface - sample at every sample, float64 of shape (rows, cols)."""
+        surfaces = _parallel.run(
+            _surface_of_band,
+            [(*_placed(self._mesh, self._grid), self._grid, band) for band in _bands(self._grid)],
+        )
+        return np.asarray(np.concatenate(surfaces) - self._grid.heights)
+
+    def __repr__(self) -> str:
+        return (
+            f"<VerticalError max {self.max:.6g} at row {self.sample[0]}, column {self.sample[1]}; "
+            f"rms {self.rms:.6g}, mean {self.mean:.6g} over {self.n_samples} samples, "
+            f"{self.n_uncovered} uncovered>"
+        )
+
+
+def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
+    """Return how far a mesh is from a raster at every valid sample.
+
+    The mesh may come from anywhere, as long as it lies in the grid's coordinates and is a surface
+    over the plane (where triangles overlap, one of them counts). Vertices closer than a millionth
+    of a cell to a sample's place are taken to be at it. All arithmetic is float64; for meshes
+    coarsened from the grid nothing but the last bits of very unlike heights is ever rounded.
+
+    Raises
+    ------
+    TypeError
+        If ``mesh`` is not a TriangleMesh or ``grid`` not a Grid.
+    """
+    require_grid(grid)
+    if not isinstance(mesh, TriangleMesh):
+        raise TypeError(f"a TriangleMesh is wanted, got {type(mesh).__name__}")
+    placed = _placed(mesh, grid)
+    parts = _parallel.run(_statistics_of_band, [(*placed, grid, band) for band in _bands(grid)])
+    n_samples, n_uncovered = (sum(part[i] for part in parts) for i in (0, 1))
+    total, total_of_squares = (sum(part[i] for part in parts) for i in (2, 3))
+    worst = max(parts, key=lambda part: part[4])
+    if n_samples == 0:
+        nan = float("nan")
+        return VerticalError(nan, nan, nan, (-1, -1), 0, n_uncovered, mesh, grid)
+    return VerticalError(
+        max=float(worst[4]),
+        rms=float(np.sqrt(total_of_squares / n_samples)),
+        mean=float(total / n_samples),
+        sample=(int(worst[5]), int(worst[6])),
+        n_samples=n_samples,
+        n_uncovered=n_uncovered,
+        _mesh=mesh,
+        _grid=grid,
+    )
+
+
+_Placed = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+
+
+def _bands(grid: Grid) -> list[tuple[int, int]]:
+    return _parallel.row_bands(grid.shape[0])
+
+
+def _placed(mesh: TriangleMesh, grid: Grid) -> _Placed:
+    """Return row and column of each vertex, its height, and the triangles."""
+    a, b, x0, d, e, y0 = tuple(grid.transform)[:6]
+    # From the raster's own origin, so that large coordinates don't cost digits.
+    x, y = mesh.vertices[:, 0] - x0, mesh.vertices[:, 1] - y0
+    determinant = a * e - b * d
+    places = np.empty((len(x), 2))
+    places[:, 0] = (a * y - d * x) / determinant
+    places[:, 1] = (e * x - b * y) / determinant
+    nearest = np.rint(places)
+    places = np.where(np.abs(places - nearest) < _SNAP, nearest, places)
+    return places, np.ascontiguousarray(mesh.vertices[:, 2]), mesh.triangles
+
+
+def _surface_of_band(
+    places: NDArray[np.float64],
+    z: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    grid: Grid,
+    band: tuple[int, int],
+) -> NDArray[np.float64]:
+    from rtin._kernels.criteria import fill_surface
+
+    first, end = band
+    surface = np.full((end - first, grid.shape[1]), np.nan)
+    fill_surface(places, z, triangles, first, surface)
+    return surface
+
+
+def _statistics_of_band(
+    places: NDArray[np.float64],
+    z: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    grid: Grid,
+    band: tuple[int, int],
+) -> tuple[Any, ...]:
+    from rtin._kernels.criteria import error_statistics
+
+    surface = _surface_of_band(places, z, triangles, grid, band)
+    statistics: tuple[Any, ...] = error_statistics(grid.heights, band[0], surface)
+    return statistics
