@@ -61,7 +61,7 @@ def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
     """
     from rtin._kernels.criteria import fill_errors
 
-    grid = heights if isinstance(heights, Grid) else Grid(heights)  # type: ignore[arg-type]
+    grid = heights if isinstance(heights, Grid) else Grid(heights)
     errors = np.empty(grid.shape, np.float32)
     size = lattice_size(grid.shape)
     tasks = [(grid.heights, size, *band, errors) for band in _parallel.row_bands(grid.shape[0])]
@@ -100,7 +100,7 @@ class VerticalError:
 
     @cached_property
     def field(self) -> NDArray[np.float64]:
-        """surface - sample at every sample, float64 of shape (rows, cols)."""
+        """The whole map of surface - sample, float64 of shape (rows, cols)."""
         surfaces = _parallel.run(
             _surface_of_band,
             [(*_placed(self._mesh, self._grid), self._grid, band) for band in _bands(self._grid)],

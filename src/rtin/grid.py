@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ _CHUNK_SAMPLES = 1 << 18
 _NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class Grid:
     """Heights on a regular lattice of samples.
 
@@ -47,17 +48,22 @@ class Grid:
     """
 
     heights: NDArray[np.floating[Any]]
-    transform: Affine = _NORTH_UP
-    crs: pyproj.CRS | None = None
-    has_voids: bool = field(init=False)
+    transform: Affine
+    crs: pyproj.CRS | None
+    has_voids: bool
 
-    def __post_init__(self) -> None:
-        heights = _as_heights(self.heights)
-        heights.flags.writeable = False
-        object.__setattr__(self, "heights", heights)
-        object.__setattr__(self, "transform", _as_transform(self.transform))
-        object.__setattr__(self, "crs", as_crs(self.crs))
-        object.__setattr__(self, "has_voids", _has_voids(heights))
+    def __init__(
+        self,
+        heights: ArrayLike,
+        transform: Affine | Sequence[float] = _NORTH_UP,
+        crs: Any = None,  # noqa: ANN401
+    ) -> None:
+        checked = _as_heights(heights)
+        checked.flags.writeable = False
+        object.__setattr__(self, "heights", checked)
+        object.__setattr__(self, "transform", _as_transform(transform))
+        object.__setattr__(self, "crs", as_crs(crs))
+        object.__setattr__(self, "has_voids", _has_voids(checked))
 
     @property
     def shape(self) -> tuple[int, int]:

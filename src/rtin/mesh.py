@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["TriangleMesh"]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class TriangleMesh:
     """A mesh of triangles over a terrain.
 
@@ -43,16 +43,21 @@ class TriangleMesh:
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
-    crs: pyproj.CRS | None = None
+    crs: pyproj.CRS | None
 
-    def __post_init__(self) -> None:
-        vertices = _as_vertices(self.vertices)
-        triangles = _as_triangles(self.triangles, len(vertices))
-        vertices.flags.writeable = False
-        triangles.flags.writeable = False
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "triangles", triangles)
-        object.__setattr__(self, "crs", as_crs(self.crs))
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        triangles: ArrayLike,
+        crs: Any = None,  # noqa: ANN401
+    ) -> None:
+        points = _as_vertices(vertices)
+        corners = _as_triangles(triangles, len(points))
+        points.flags.writeable = False
+        corners.flags.writeable = False
+        object.__setattr__(self, "vertices", points)
+        object.__setattr__(self, "triangles", corners)
+        object.__setattr__(self, "crs", as_crs(crs))
 
     @classmethod
     def from_triangles(
@@ -67,7 +72,7 @@ class TriangleMesh:
         end the longest edge, measured in x and y (the first of equal ones, walking from the
         triangle's own vertex 0). Neither the vertices nor the order of the triangles changes.
         """
-        mesh = cls(vertices, triangles, crs)  # type: ignore[arg-type]
+        mesh = cls(vertices, triangles, crs)
         corners = mesh.triangles.copy()
         clockwise = mesh.signed_areas() < 0.0
         corners[clockwise] = corners[clockwise][:, ::-1]

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config
 
 __all__ = ["compiled_before", "jit"]
+
+config: Any = numba.core.config
 
 
 def _is_writable(folder: Path) -> bool:
