@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
 __all__ = ["row_bands", "run", "thread_count"]
 
 _MOST_BANDS = 16
-_FEWEST_ROWS = 64
+_FEWEST_ROWS = 128
 
 
 def thread_count() -> int:
@@ -40,8 +41,16 @@ def row_bands(n_rows: int) -> list[tuple[int, int]]:
 def run(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> list[Any]:
     """Return ``[function(*task) for task in tasks]``, worked off by a pool of threads."""
     tasks = list(tasks)
-    n_threads = min(thread_count(), len(tasks))
-    if n_threads <= 1:
+    if thread_count() == 1 or len(tasks) <= 1:
         return [function(*task) for task in tasks]
-    with ThreadPoolExecutor(n_threads) as pool:
-        return list(pool.map(lambda task: function(*task), tasks))
+    return list(_pool(thread_count()).map(lambda task: function(*task), tasks))
+
+
+@cache
+def _pool(n_threads: int) -> ThreadPoolExecutor:
+    # Kept for the life of the process: starting threads anew took longer than a level of a closure.
+    return ThreadPoolExecutor(n_threads, thread_name_prefix="rtin")
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has the pool, but none of its threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)

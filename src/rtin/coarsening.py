@@ -193,7 +193,7 @@ def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _
     least = n_vertices if name == "max_vertices" else n_triangles
     if budget < least:
         raise ValueError(
-            f"{name} must be at least {least} for the grid's outline and kept vertices, got {budget}"
+            f"{name} must be at least {least} for this outline and what is to keep, got {budget}"
         )
     max_vertices, max_triangles = _UNLIMITED, _UNLIMITED
     if name == "max_vertices":
@@ -233,19 +233,16 @@ def _settle(grid: Grid, kept: _Kept, work: _Items, tolerance: _Tolerance) -> Non
 
 def _close(grid: Grid, kept: _Kept) -> None:
     """Add parents until nothing changes: one pass from the finest level to the coarsest."""
-    from rtin._kernels.coarsening import close_centre_vertices, close_edge_vertices
+    from rtin._kernels.coarsening import close_level
 
     size = len(kept) - 1
-    rows, cols = grid.shape
     spacing = 1
     while spacing < size:
         # Kept vertices outside the raster are midpoints of triangles that reach into it.
-        end_row, end_col = (min(size + 1, n + 4 * spacing) for n in (rows, cols))
-        if spacing > 1:
-            bands = _parallel.row_bands((end_row + spacing - 1) // spacing)
-            _parallel.run(close_edge_vertices, [(kept, spacing, *band, end_col) for band in bands])
+        end_row, end_col = (min(size + 1, n + 4 * spacing) for n in grid.shape)
+        shared = (kept, _words(kept), spacing)
         bands = _parallel.row_bands((end_row + spacing - 1) // (2 * spacing))
-        _parallel.run(close_centre_vertices, [(kept, spacing, *band, end_col) for band in bands])
+        _parallel.run(close_level, [(*shared, *band, end_col) for band in bands])
         spacing *= 2
 
 
@@ -269,16 +266,14 @@ def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
     transform = np.array(tuple(grid.transform)[:6], np.float64)
     flip = grid.transform.determinant > 0.0
     bands = _parallel.row_bands(grid.shape[0])
+    shared = (grid.heights, used, _words(used), transform)
     _parallel.run(
-        fill_vertices,
-        [(grid.heights, used, transform, *band, first_vertex, numbers, vertices) for band in bands],
+        fill_vertices, [(*shared, *band, first_vertex, numbers, vertices) for band in bands]
     )
+    shared = (grid.heights, kept, used, _words(used))
     _parallel.run(
         fill_triangles,
-        [
-            (grid.heights, kept, used, *band, first_triangle, numbers, flip, triangles)
-            for band in bands
-        ],
+        [(*shared, *band, first_triangle, numbers, flip, triangles) for band in bands],
     )
     return TriangleMesh(vertices, triangles, grid.crs)
 
@@ -289,8 +284,8 @@ def _used(grid: Grid, kept: _Kept) -> _Kept:
 
     if _is_complete(grid):
         return kept
-    used = np.zeros(grid.shape, np.uint8)
-    mark_used(grid.heights, kept, used)
+    used = _zeros(grid.shape)
+    mark_used(grid.heights, kept, _words(kept), used)
     return used
 
 
@@ -303,7 +298,7 @@ def _counts(grid: Grid, kept: _Kept, used: _Kept) -> tuple[_Items, _Items]:
     _parallel.run(
         count_mesh,
         [
-            (grid.heights, kept, used, *band, n_vertices, n_triangles)
+            (grid.heights, kept, used, _words(used), *band, n_vertices, n_triangles)
             for band in _parallel.row_bands(rows)
         ],
     )
@@ -328,14 +323,24 @@ def _coarsest(grid: Grid) -> _Kept:
     """Return the closed set of the two root triangles: the lattice's corners."""
     size = lattice_size(grid.shape)
     try:
-        kept = np.zeros((size + 1, size + 1), np.uint8)
+        kept = _zeros((size + 1, size + 1))
     except (MemoryError, ValueError):
         raise MemoryError(
             f"a grid of {grid.shape[0]} × {grid.shape[1]} samples needs a lattice of "
             f"{(size + 1) ** 2 / 2**30:.1f} GiB, which can't be had; coarsen windows of it instead"
         ) from None
-    kept[::size, ::size] = 1
+    kept[::size, : size + 1 : size] = 1
     return kept
+
+
+def _zeros(shape: tuple[int, int]) -> _Kept:
+    """Return a byte for each vertex, rows padded so that they can be read by eights as well."""
+    rows, cols = shape
+    return np.zeros((rows, 8 * ((cols + 7) // 8 + 1)), np.uint8)
+
+
+def _words(kept: _Kept) -> NDArray[np.uint64]:
+    return kept.view(np.uint64)
 
 
 def _roots(grid: Grid) -> _Items:

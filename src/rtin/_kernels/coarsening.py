@@ -28,7 +28,7 @@ from rtin._kernels.lattice import (
     unpacked,
 )
 
-CHUNK = 64
+FIRST_BYTE = np.frombuffer(b"\xff" + bytes(7), np.uint64)[0]
 
 # --- which triangles fit ------------------------------------------------------------------------
 
@@ -246,52 +246,42 @@ def settle(heights, is_complete, max_error, tolerance, kept, first_row, end_row,
 
 
 @jit
-def keeps_any(kept, row, col, row_step, col_step):
-    """Whether one of the two vertices a step before and behind is kept."""
-    size = kept.shape[0] - 1
-    before = is_inside(row - row_step, col - col_step, size) and (
-        kept[row - row_step, col - col_step] != 0
-    )
-    return before or (
-        is_inside(row + row_step, col + col_step, size)
-        and kept[row + row_step, col + col_step] != 0
-    )
+def is_bare(words, row, word):
+    """Whether a row keeps none of eight neighbouring vertices, nor the one after them."""
+    return words[row, word] == 0 and (words[row, word + 1] & FIRST_BYTE) == 0
 
 
 @jit
-def close_edge_vertices(kept, spacing, first, end, n_cols):
-    """Keep each edge vertex that is a corner of the cell of a kept centre vertex one level below.
-
-    ``first`` and ``end`` count rows of this level: row first * spacing is the first one.
-    """
-    half = spacing // 2
-    for row in range(first * spacing, end * spacing, spacing):
-        start = 0 if row & spacing else spacing
-        for col in range(start, n_cols, 2 * spacing):
-            if kept[row, col] == 0 and (
-                keeps_any(kept, row, col, half, half) or keeps_any(kept, row, col, half, -half)
-            ):
-                kept[row, col] = 1
+def close_cell(kept, row, col, spacing):
+    """Apply the closure to one centre vertex: edge vertices keep it, and it keeps its corners."""
+    beside = kept[row - spacing, col] | kept[row + spacing, col]
+    beside |= kept[row, col - spacing] | kept[row, col + spacing] | kept[row, col]
+    if beside != 0:
+        kept[row, col] = 1
+        kept[row - spacing, col - spacing] = kept[row - spacing, col + spacing] = 1
+        kept[row + spacing, col - spacing] = kept[row + spacing, col + spacing] = 1
 
 
 @jit
-def close_centre_vertices(kept, spacing, first, end, n_cols):
-    """Keep each centre vertex next to a kept edge vertex, or at a corner of a kept centre's cell.
+def close_level(kept, words, spacing, first, end, n_cols):
+    """Close the level of that spacing: the rows of cells from first to end, columns below n_cols.
 
-    Where all vertices of this level are kept already, nothing changes. ``first`` and ``end``
-    count rows of cells: row (2 * first + 1) * spacing is the first one.
+    Two threads at work on neighbouring rows may both write a 1 to a corner between them; none
+    reads it. ``words`` is ``kept`` by eights: most are 0 in a coarse mesh, and passed over.
     """
-    half = spacing // 2
     for row in range((2 * first + 1) * spacing, (2 * end + 1) * spacing, 2 * spacing):
-        for col in range(spacing, n_cols, 2 * spacing):
-            if kept[row, col] != 0:
-                continue
-            beside = kept[row - spacing, col] | kept[row + spacing, col]
-            beside |= kept[row, col - spacing] | kept[row, col + spacing]
-            if half > 0:
-                beside |= kept[row - half, col - half] | kept[row + half, col + half]
-                beside |= kept[row - half, col + half] | kept[row + half, col - half]
-            kept[row, col] = beside != 0
+        if spacing > 4:
+            for col in range(spacing, n_cols, 2 * spacing):
+                close_cell(kept, row, col, spacing)
+            continue
+        for word in range((n_cols + 7) // 8):
+            if not (
+                is_bare(words, row - spacing, word)
+                and is_bare(words, row, word)
+                and is_bare(words, row + spacing, word)
+            ):
+                for col in range(8 * word + spacing, min(8 * word + 8, n_cols), 2 * spacing):
+                    close_cell(kept, row, col, spacing)
 
 
 # --- budgets ------------------------------------------------------------------------------------
@@ -427,24 +417,14 @@ def is_present(heights, kept, row, col, spacing, direction):
 
 
 @jit
-def kept_in_chunk(kept, row, start, end):
-    """Number of kept vertices of a row from start to end."""
-    count = 0
-    for col in range(start, end):
-        count += kept[row, col] != 0
-    return count
-
-
-@jit
-def mark_used(heights, kept, used):
+def mark_used(heights, kept, words, used):
     """Set ``used`` at every vertex that a triangle of the mesh has."""
     n_rows, n_cols = heights.shape
     for row in range(n_rows):
-        for start in range(0, n_cols, CHUNK):
-            end = min(start + CHUNK, n_cols)
-            if kept_in_chunk(kept, row, start, end) == 0:
+        for word in range((n_cols + 7) // 8):
+            if words[row, word] == 0:
                 continue
-            for col in range(start, end):
+            for col in range(8 * word, min(8 * word + 8, n_cols)):
                 if kept[row, col] == 0:
                     continue
                 spacing = spacing_of(row, col)
@@ -455,35 +435,35 @@ def mark_used(heights, kept, used):
 
 
 @jit
-def count_mesh(heights, kept, used, first_row, end_row, n_vertices, n_triangles):
+def count_mesh(heights, kept, used, words, first_row, end_row, n_vertices, n_triangles):
     """Write how many vertices each row has, and how many triangles have their apex there."""
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         n_vertices[row] = n_triangles[row] = 0
-        for start in range(0, n_cols, CHUNK):
-            end = min(start + CHUNK, n_cols)
-            n_used = kept_in_chunk(used, row, start, end)
-            n_vertices[row] += n_used
-            if n_used == 0:
+        for word in range((n_cols + 7) // 8):
+            if words[row, word] == 0:
                 continue
-            for col in range(start, end):
-                if used[row, col] != 0:
-                    spacing = spacing_of(row, col)
-                    for direction in range(4):
-                        n_triangles[row] += is_present(heights, kept, row, col, spacing, direction)
+            for col in range(8 * word, min(8 * word + 8, n_cols)):
+                if used[row, col] == 0:
+                    continue
+                n_vertices[row] += 1
+                spacing = spacing_of(row, col)
+                for direction in range(4):
+                    n_triangles[row] += is_present(heights, kept, row, col, spacing, direction)
 
 
 @jit
-def fill_vertices(heights, used, transform, first_row, end_row, first_vertex, numbers, vertices):
+def fill_vertices(
+    heights, used, words, transform, first_row, end_row, first_vertex, numbers, vertices
+):
     """Number the vertices of some rows in row-major order and write their x, y and z."""
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         number = first_vertex[row]
-        for start in range(0, n_cols, CHUNK):
-            end = min(start + CHUNK, n_cols)
-            if kept_in_chunk(used, row, start, end) == 0:
+        for word in range((n_cols + 7) // 8):
+            if words[row, word] == 0:
                 continue
-            for col in range(start, end):
+            for col in range(8 * word, min(8 * word + 8, n_cols)):
                 if used[row, col] != 0:
                     numbers[row, col] = number
                     vertices[number, 0] = transform[0] * col + transform[1] * row + transform[2]
@@ -494,17 +474,16 @@ def fill_vertices(heights, used, transform, first_row, end_row, first_vertex, nu
 
 @jit
 def fill_triangles(
-    heights, kept, used, first_row, end_row, first_triangle, numbers, flip, triangles
+    heights, kept, used, words, first_row, end_row, first_triangle, numbers, flip, triangles
 ):
     """Write the triangles whose apex lies in some rows: hypotenuse first, apex last."""
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         number = first_triangle[row]
-        for start in range(0, n_cols, CHUNK):
-            end = min(start + CHUNK, n_cols)
-            if kept_in_chunk(used, row, start, end) == 0:
+        for word in range((n_cols + 7) // 8):
+            if words[row, word] == 0:
                 continue
-            for col in range(start, end):
+            for col in range(8 * word, min(8 * word + 8, n_cols)):
                 if used[row, col] == 0:
                     continue
                 spacing = spacing_of(row, col)

@@ -6,31 +6,59 @@ from rtin._kernels._jit import jit
 
 
 @jit
-def error_between(heights, row, col, row_step, col_step):
-    """Eq. (1): how far a sample is from the middle of those a step before and behind."""
-    before = np.float64(heights[row - row_step, col - col_step])
-    return abs((before + heights[row + row_step, col + col_step]) / 2 - heights[row, col])
+def error_between(before, here, after):
+    """Eq. (1): how far a height is from the middle of two others."""
+    return abs((np.float64(before) + after) / 2 - here)
+
+
+@jit
+def errors_along_row(here, spacing, errors):
+    """E(v) of the edge vertices whose longest edge lies in a row, level by level.
+
+    The finest level is written at every column, which runs at vector speed; later levels and
+    ``errors_across_row`` write over the columns that are theirs.
+    """
+    n_cols = here.size
+    for col in range(1, n_cols - 1):
+        errors[col] = error_between(here[col - 1], here[col], here[col + 1])
+    errors[0] = errors[n_cols - 1] = np.inf
+    step = 2
+    while step < spacing:
+        for col in range(step, n_cols - step, 2 * step):
+            errors[col] = error_between(here[col - step], here[col], here[col + step])
+        errors[(n_cols - 1) // step * step] = np.inf
+        step *= 2
+
+
+@jit
+def errors_across_row(above, here, below, row, spacing, errors):
+    """E(v) of a row's edge vertices with an upright longest edge, and of its centre vertices."""
+    n_cols = here.size
+    if spacing == 1:
+        for col in range(n_cols):
+            errors[col] = error_between(above[col], here[col], below[col])
+    else:
+        for col in range(0, n_cols, 2 * spacing):
+            errors[col] = error_between(above[col], here[col], below[col])
+    errors[spacing :: 2 * spacing] = np.inf
+    down_right = spacing + ((row - spacing) & (2 * spacing))
+    for col in range(down_right, n_cols - spacing, 4 * spacing):
+        errors[col] = error_between(above[col - spacing], here[col], below[col + spacing])
+    for col in range(down_right ^ (2 * spacing), n_cols - spacing, 4 * spacing):
+        errors[col] = error_between(above[col + spacing], here[col], below[col - spacing])
 
 
 @jit
 def row_errors(heights, size, row, errors):
     """Write E(v) of one row: inf where v's longest edge leaves the raster, NaN beside a void."""
-    n_rows, n_cols = heights.shape
-    errors[:] = np.inf
     spacing = row & -row if 0 < row < size else size
-    step = 1
-    while step < spacing:
-        for col in range(step, n_cols - step, 2 * step):
-            errors[col] = error_between(heights, row, col, 0, step)
-        step *= 2
-    if spacing < size and row + spacing < n_rows:
-        for col in range(0, n_cols, 2 * spacing):
-            errors[col] = error_between(heights, row, col, spacing, 0)
-        runs_down_right = spacing + ((row - spacing) & (2 * spacing))
-        for col in range(runs_down_right, n_cols - spacing, 4 * spacing):
-            errors[col] = error_between(heights, row, col, spacing, spacing)
-        for col in range(runs_down_right ^ (2 * spacing), n_cols - spacing, 4 * spacing):
-            errors[col] = error_between(heights, row, col, spacing, -spacing)
+    errors[:] = np.inf
+    if spacing > 1:
+        errors_along_row(heights[row], spacing, errors)
+    if spacing < size and row + spacing < heights.shape[0]:
+        errors_across_row(
+            heights[row - spacing], heights[row], heights[row + spacing], row, spacing, errors
+        )
 
 
 @jit
