@@ -1,0 +1,66 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["replacing", "write_bytes"]
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield the name of a new file that takes the place of ``path`` once the block succeeds.
+
+    The new file lies in the same folder and has the same extension. Whatever ends the block early,
+    an interrupt from the keyboard too, removes it and leaves the file at ``path`` as it was. A
+    symbolic link is followed: the file it points to is replaced. Readers see the old file or the
+    new one, never a part; the new one has the permissions of any newly created file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; the class is that of the cause, such as FileNotFoundError
+        where the folder does not exist.
+    """
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+    try:
+        _check_folder(target)
+        yield part
+        part.replace(target)
+    except OSError as error:
+        raise _described(error, path) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
+    """Write the chunks one after the other to ``path``, whole or not at all.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; what was at ``path`` before is still there.
+    """
+    with replacing(path) as part, part.open("xb") as file:
+        for chunk in chunks:
+            file.write(chunk)
+
+
+def _check_folder(target: Path) -> None:
+    """Refuse at once what would fail only after the work of writing."""
+    if not target.parent.exists():
+        raise FileNotFoundError(f"there is no folder {target.parent}; make it first")
+    if target.is_dir():
+        raise IsADirectoryError("it is a folder; name a file in it")
+
+
+def _described(error: OSError, path: str | os.PathLike[str]) -> OSError:
+    reason = error.strerror or str(error)
+    described = type(error)(f"cannot write {os.fspath(path)}: {reason}")
+    described.errno = error.errno
+    return described

@@ -1,0 +1,86 @@
+"""VTK's XML formats, through PyVista (an extra)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin.io._placement import PlacedMesh
+
+__all__ = ["read", "vtp", "vtu"]
+
+
+def vtp(placed: PlacedMesh) -> bytes:
+    """Return ``placed`` as VTK PolyData (.vtp)."""
+    pyvista = _pyvista()
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    data = pyvista.PolyData.from_regular_faces(placed.vertices, placed.triangles)
+    return _encoded(vtkXMLPolyDataWriter(), data, placed)
+
+
+def vtu(placed: PlacedMesh) -> bytes:
+    """Return ``placed`` as a VTK unstructured grid (.vtu)."""
+    pyvista = _pyvista()
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    cells = {pyvista.CellType.TRIANGLE: placed.triangles}
+    data = pyvista.UnstructuredGrid(cells, placed.vertices)
+    return _encoded(vtkXMLUnstructuredGridWriter(), data, placed)
+
+
+def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN401
+    """Return the file as bytes: VTK's own writing to disk aborts the process on a full disk."""
+    data.field_data["rtin"] = [placed.placement.as_json()]
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    if not writer.Write():
+        raise OSError("VTK could not encode the mesh")
+    text: str = writer.GetOutputString()
+    return text.encode()
+
+
+def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:
+    """Return vertices, triangles and the stored placement (or None) of a .vtp or .vtu file."""
+    pyvista = _pyvista()
+    with _silence():
+        data = pyvista.read(path)
+    stored = data.field_data["rtin"][0] if "rtin" in data.field_data else None
+    if isinstance(data, pyvista.PolyData):
+        surface = data if data.is_all_triangles else data.triangulate()
+        triangles = surface.faces.reshape(-1, 4)[:, 1:]
+    else:
+        surface = data.triangulate()
+        triangles = surface.cells_dict.get(pyvista.CellType.TRIANGLE, np.empty((0, 3), int))
+    placement = None if stored is None else json.loads(str(stored))
+    return np.asarray(surface.points, dtype=np.float64), np.asarray(triangles), placement
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep VTK from printing a page about a broken file; the caller says it in one line."""
+    from vtkmodules.vtkCommonCore import vtkObject
+
+    display = vtkObject.GetGlobalWarningDisplay()
+    vtkObject.GlobalWarningDisplayOff()
+    try:
+        yield
+    finally:
+        vtkObject.SetGlobalWarningDisplay(display)
+
+
+def _pyvista() -> Any:  # noqa: ANN401
+    try:
+        import pyvista
+    except ModuleNotFoundError:
+        raise ImportError(
+            'VTK\'s formats need PyVista, which is not installed; pip install "rtin[vtk]"'
+        ) from None
+    return pyvista

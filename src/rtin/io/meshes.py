@@ -1,0 +1,199 @@
+"""Meshes to and from the formats of 3-D programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin.io import _gltf, _polygons, _trimesh, _vtk, html
+from rtin.io._atomic import write_bytes
+from rtin.io._placement import PlacedMesh, Placement, place, placement
+from rtin.mesh import TriangleMesh
+
+__all__ = ["Placement", "placement_of", "read_mesh", "write_mesh"]
+
+_ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
+    ".glb": _gltf.glb,
+    ".obj": _polygons.obj,
+    ".ply": _polygons.ply,
+    ".stl": _polygons.stl,
+    ".vtu": _vtk.vtu,
+    ".vtp": _vtk.vtp,
+    ".html": html.page,
+}
+_DECODERS = {
+    suffix: _vtk.read if suffix.startswith(".vt") else _trimesh.read
+    for suffix in _ENCODERS
+    if suffix != ".html"
+}
+
+
+def write_mesh(
+    mesh: TriangleMesh,
+    path: str | os.PathLike[str],
+    *,
+    z_scale: float = 1.0,
+    base: float | None = None,
+    keep_degrees: bool = False,
+) -> None:
+    """Write ``mesh`` to a file whose extension names the format.
+
+    ========  =====================================================================================
+    .glb      Binary glTF: y up, tinted by height, with normals and texture coordinates. 32-bit
+              numbers around a node at the middle of the mesh: x and y are rounded by at most
+              extent / 3e7 (1 mm at 30 km). Float32 heights stay as they are at ``z_scale=1``;
+              float64 ones are rounded by at most z / 1.6e7.
+    .ply      Binary, 64-bit: nothing is rounded.
+    .vtu      VTK unstructured grid, .vtp VTK PolyData, 64-bit: nothing is rounded. They need
+              PyVista: ``pip install "rtin[vtk]"``.
+    .obj      Text: rounded to 6 decimals, or to 9 digits where the mesh is less than 1000 wide.
+    .stl      Binary, 32-bit: rounded as .glb is. x and y count from the middle of the mesh; where
+              that is in the world is lost, as is the CRS.
+    .html     A page to turn the terrain in, for a browser without a network; not to be read back.
+    ========  =====================================================================================
+
+    A mesh whose CRS is geographic is scaled to metres around its middle, so that heights and widths
+    have one unit. All but .stl and .html store the CRS and what undoes shift and scale, and
+    ``read_mesh`` gives back the mesh as it was. ``placement_of`` says what is done.
+
+    In a GLB, u runs from west to east and v from north to south, 0 to 1 over the vertices' bounds,
+    so a north-up picture of that extent drapes as it should. Viewers multiply a texture by the
+    tint: remove the attribute COLOR_0 when you add one.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    path : str or path-like
+        The file is written whole or not at all; one that is there already is replaced.
+    z_scale : float
+        What heights are multiplied by; more than zero.
+    base : float, optional
+        Close the terrain to a solid with walls and a flat bottom, this far below the lowest
+        triangle corner as written (so not multiplied by ``z_scale``); more than zero. See
+        ``rtin.io.solid.close``.
+    keep_degrees : bool
+        Leave x and y of a geographic CRS in degrees.
+
+    Raises
+    ------
+    ValueError
+        If the extension is unknown, the mesh has no triangle or a vertex that is not finite,
+        ``z_scale`` or ``base`` is out of range, or no solid can be made.
+    ImportError
+        If the format needs PyVista and that is not installed.
+    OSError
+        If the file cannot be written. What was there before is still there.
+    """
+    suffix = _known_suffix(path, _ENCODERS)
+    _check(mesh, z_scale)
+    placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
+    write_bytes(path, _ENCODERS[suffix](place(mesh, placed, base)))
+
+
+def placement_of(
+    mesh: TriangleMesh,
+    path: str | os.PathLike[str],
+    *,
+    z_scale: float = 1.0,
+    keep_degrees: bool = False,
+) -> Placement:
+    """Return how ``write_mesh`` with the same arguments shifts and scales ``mesh``.
+
+    Returns
+    -------
+    Placement
+        ``.origin`` and ``.scale``: file = (world - origin) * scale. ``.note`` is one line about it
+        for people, such as "x and y scaled from degrees to metres around 36.59 N 84.25 W", and
+        empty where x and y stay as they are.
+
+    Raises
+    ------
+    ValueError
+        If the extension of ``path`` is unknown.
+    """
+    centred = _known_suffix(path, _ENCODERS) == ".stl"
+    return placement(mesh, z_scale=z_scale, keep_degrees=keep_degrees, centred=centred)
+
+
+def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
+    """Return the mesh in a .glb, .obj, .ply, .stl, .vtu or .vtp file.
+
+    A file that ``write_mesh`` wrote (but for .stl) gives back vertices in the world, triangles in
+    the same order, and the CRS; a solid comes back with its walls and bottom. The triangles of any
+    other file are taken for a terrain: z up (y up in .glb), vertices at the same place merged into
+    the first of them, polygons cut into triangles, several meshes put together, and each triangle
+    turned counter-clockwise from above with its longest edge first. It has no CRS.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OSError
+        If it cannot be read as what its extension says.
+    ValueError
+        If the extension is unknown or the file holds no triangle.
+    ImportError
+        If the format needs PyVista and that is not installed.
+    """
+    suffix = _known_suffix(path, _DECODERS)
+    file = Path(path)
+    with file.open("rb"):
+        pass
+    try:
+        mesh = _as_mesh(*_DECODERS[suffix](file))
+    except ImportError:
+        raise
+    except Exception as error:  # what a parser raises on a broken file is anything at all
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise OSError(f"cannot read {path} as {suffix[1:].upper()}: {reason}") from error
+    if mesh.n_triangles == 0:
+        raise ValueError(f"a mesh is wanted, but {path} holds no triangle, or is broken")
+    return mesh
+
+
+def _as_mesh(
+    points: NDArray[np.float64], triangles: NDArray[np.integer[Any]], stored: dict[str, Any] | None
+) -> TriangleMesh:
+    if stored is None:
+        return TriangleMesh.from_triangles(*_merged(points, triangles))
+    placed = Placement.from_dict(stored)
+    return TriangleMesh(placed.to_world(points), triangles, placed.crs)
+
+
+def _merged(
+    points: NDArray[np.float64], triangles: NDArray[np.integer[Any]]
+) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]]]:
+    """Return vertices without repetition, in order of first appearance, and the new triangles."""
+    order = np.lexsort(points.T)
+    differs = np.any(points[order[1:]] != points[order[:-1]], axis=1)
+    groups = np.concatenate([[0], np.cumsum(differs)]) if len(points) else np.empty(0, np.intp)
+    firsts = order[np.flatnonzero(np.concatenate([[True], differs]))] if len(points) else order
+    rank = np.empty(len(firsts), dtype=np.intp)
+    rank[np.argsort(firsts)] = np.arange(len(firsts))
+    numbers = np.empty(len(points), dtype=np.intp)
+    numbers[order] = rank[groups]
+    return points[np.sort(firsts)], numbers[triangles]
+
+
+def _known_suffix(path: str | os.PathLike[str], known: dict[str, Any]) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        raise ValueError(
+            f"the extension must be one of {', '.join(known)}, got {suffix or 'none'!r} "
+            f"in {os.fspath(path)}"
+        )
+    return suffix
+
+
+def _check(mesh: TriangleMesh, z_scale: float) -> None:
+    if mesh.n_triangles == 0:
+        raise ValueError("a mesh with triangles is wanted, got one without any")
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("vertices must be finite, got some that are not")
+    if not (np.isfinite(z_scale) and z_scale > 0.0):
+        raise ValueError(f"z_scale must be more than zero, got {z_scale}")
