@@ -82,7 +82,8 @@ class Grid:
     def from_xarray(cls, data: Any) -> Grid:  # noqa: ANN401  (xarray is an extra)
         """Return the grid of a two-dimensional ``xarray.DataArray``.
 
-        Rows and columns are its two dimensions, in that order, after singleton ones are dropped.
+        Rows and columns are its two dimensions, in that order, after singleton ones are dropped;
+        the other way round where the first is called x, lon or longitude.
         The coordinates of both, where present, must be evenly spaced; they become the transform.
         The CRS is read through rioxarray where that is installed.
 
@@ -97,6 +98,8 @@ class Grid:
                 f"a DataArray with two dimensions is wanted, got {data.ndim}: {data.dims}; "
                 "select one band or time first"
             )
+        if data.dims[0] in ("x", "lon", "longitude"):
+            data = data.transpose()
         row_dim, col_dim = data.dims
         y0, dy = _origin_and_step(data, row_dim, default_step=-1.0)
         x0, dx = _origin_and_step(data, col_dim, default_step=1.0)

@@ -1,0 +1,480 @@
+"""Rasters in: every format that GDAL reads, NumPy's .npy, and heights coded in a tile's colours."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from rtin.grid import Grid, as_crs
+
+if TYPE_CHECKING:
+    import pyproj
+    from rasterio.windows import Window
+
+    Part = tuple[tuple[int, int], tuple[int, int]]
+    Heights = NDArray[np.floating[Any]]
+
+__all__ = ["read_grid", "suspicious_values"]
+
+_NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+# Both codes are linear in the 24-bit number 65536 R + 256 G + B, so each is a scale and an offset.
+_SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1.0 / 256.0, -32768.0)}
+_LOWEST_ON_EARTH, _HIGHEST_ON_EARTH = -12000.0, 9000.0
+_FILL_VALUES = (-999, 9999, -9999, -10000, -32767, 32767, -32768, 65535, -99999, 99999)
+_LARGEST_HEIGHT = 1e9
+_LARGEST_EXACT_INTEGER = 2.0**53
+_CHUNK_SAMPLES = 1 << 18
+_GDAL_OPTIONS = {
+    # Two cores read a compressed GeoTIFF 1.7 times as fast as one.
+    "GDAL_NUM_THREADS": "ALL_CPUS",
+    # Without these GDAL fills the missing end of a cut PNG, JPEG or raw file with whatever it has.
+    "GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO",
+    "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",
+    "RAW_CHECK_FILE_SIZE": "YES",
+}
+
+
+def read_grid(
+    path: str | os.PathLike[str],
+    *,
+    window: Window | tuple[tuple[int, int], tuple[int, int]] | None = None,
+    band: int = 1,
+    encoding: Literal["terrain-rgb", "terrarium", "none"] | None = None,
+) -> Grid:
+    """Return the grid of heights in a raster file.
+
+    A sample is void where the band's nodata value, its mask band, an alpha band or NaN says so: any
+    of them is enough. The band's scale and offset are applied. A sample lies at the centre of its
+    cell, whether the file says pixel-is-area or pixel-is-point; rows keep the file's order. Where a
+    raster has no affine georeference, x is the column and y minus the row, as in ``Grid``.
+
+    Parameters
+    ----------
+    path : path
+        Any raster that GDAL reads (GeoTIFF and COG, .hgt, .asc, .dem, VRT, NetCDF, PNG, …), also as
+        a GDAL name such as ``netcdf:file.nc:height``, or a two-dimensional ``.npy`` array.
+    window : rasterio.windows.Window or ((row_start, row_stop), (col_start, col_stop)), optional
+        The part to read, in whole samples and inside the raster. By default all of it.
+    band : int
+        Number of the band that holds the heights, from 1.
+    encoding : {"terrain-rgb", "terrarium", "none"}, optional
+        How a raster of colours (three or four bands of uint8, or a palette) holds heights:
+        ``65536 R + 256 G + B`` times 0.1, minus 10000 (Mapbox), or divided by 256, minus 32768
+        (Mapzen). ``"none"`` reads one band as it is. By default the code is the one whose heights
+        exist on Earth, -12 000 to 9000 m, in every sample; a picture has none and is refused.
+
+    Returns
+    -------
+    Grid
+        Heights in the file's unit. They are exact, float32 where that holds them and float64
+        otherwise, except scaled and coded ones, which are rounded to float32 (0.0002 m at 4000 m).
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OSError
+        If the file is a directory, not a raster, truncated or damaged. GDAL does not notice every
+        damage: a short ENVI, PCIDSK or GeoPackage file and an XYZ table may be read as if complete.
+    ValueError
+        If the band does not exist, the window leaves the raster, the file holds several rasters,
+        colours cannot be told to be heights, or ``Grid`` refuses the heights.
+    TypeError
+        If the heights are not real numbers.
+    MemoryError
+        If the part to read is larger than the available memory.
+
+    Warns
+    -----
+    UserWarning
+        If the CRS is one that pyproj does not know, or only ground control points say where the
+        raster lies; the grid then has no CRS.
+    """
+    name = os.fsdecode(path)
+    if encoding not in (None, "none", *_SCALE_AND_OFFSET):
+        raise ValueError(
+            f"encoding must be 'terrain-rgb', 'terrarium', 'none' or None, got {encoding!r}"
+        )
+    read = _read_npy if name.lower().endswith(".npy") else _read_raster
+    heights, transform, crs = read(name, window, band, encoding)
+    try:
+        return Grid(heights, transform, crs)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name}: {error}") from None
+
+
+def suspicious_values(grid: Grid) -> list[str]:
+    """Return one line for each extreme height that looks like a nodata value nobody declared.
+
+    Looks only at the lowest and the highest heights, where fill values stand: the usual numbers
+    (-9999, -32768, …) and everything beyond 1e9. A true height may be among them.
+    """
+    inside = ~np.isnan(grid.heights)
+    lines: list[str] = []
+    while inside.any():
+        lowest = float(grid.heights.min(where=inside, initial=np.inf))
+        highest = float(grid.heights.max(where=inside, initial=-np.inf))
+        fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
+        if not fills:
+            break
+        for value in sorted(fills):
+            found = inside & (grid.heights == value)
+            inside &= ~found
+            count = np.count_nonzero(found)
+            lines.append(f"{value:.7g} in {count} samples: undeclared nodata?")
+    return lines
+
+
+def _looks_like_fill(value: float) -> bool:
+    return value in _FILL_VALUES or abs(value) >= _LARGEST_HEIGHT
+
+
+def _read_npy(
+    name: str, window: object, band: int, encoding: str | None
+) -> tuple[NDArray[Any], Affine, None]:
+    if band != 1 or encoding in _SCALE_AND_OFFSET:
+        raise ValueError(
+            f"{name}: a .npy array is one band of plain heights, "
+            f"got band={band!r} and encoding={encoding!r}; leave both out"
+        )
+    try:
+        array = np.lib.format.open_memmap(name, mode="r")
+    except Exception as error:  # numpy's parser of the header lets anything through
+        raise _unreadable(name, error) from None
+    if array.ndim != 2:
+        raise ValueError(f"{name}: an array with two dimensions is wanted, got shape {array.shape}")
+    (row_start, row_stop), (col_start, col_stop) = part = _part(window, array.shape, name)
+    _require_memory(part, array.dtype.itemsize + 8, name)
+    heights = np.array(array[row_start:row_stop, col_start:col_stop], order="C")
+    return heights, _moved(_NORTH_UP, row_start, col_start), None
+
+
+def _read_raster(
+    name: str, window: object, band: int, encoding: str | None
+) -> tuple[Heights, Affine, pyproj.CRS | None]:
+    with _opened(name) as dataset:
+        _require_one_raster(dataset, name)
+        part = _part(window, dataset.shape, name)
+        if encoding != "none" and (encoding or _is_coloured(dataset)):
+            heights = _read_colours(dataset, name, part, band, encoding)
+        else:
+            heights = _read_band(dataset, name, part, band)
+        return heights, _transform(dataset, name, part), _crs(dataset, name)
+
+
+@contextmanager
+def _opened(name: str) -> Iterator[Any]:
+    """Open a raster without a word on stderr, and raise every failure of GDAL as an OSError."""
+    import rasterio
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import (
+        CRSError,
+        NodataShadowWarning,
+        NotGeoreferencedWarning,
+        RasterioError,
+        RasterioIOError,
+    )
+
+    try:
+        with warnings.catch_warnings(), rasterio.Env(**_GDAL_OPTIONS):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            warnings.simplefilter("ignore", NodataShadowWarning)
+            # A GeoTIFF takes its threads when opened. Those that other drivers (JPEG 2000) would
+            # start later print their errors on stderr.
+            with (
+                _cut_tags() as cut,
+                rasterio.open(name) as dataset,
+                rasterio.Env(GDAL_NUM_THREADS="1"),
+            ):
+                if cut:
+                    raise RasterioIOError(cut[0])
+                yield dataset
+    except (RasterioError, CPLE_BaseError, CRSError, UnicodeError) as error:
+        raise _unreadable(name, error) from None
+
+
+@contextmanager
+def _cut_tags() -> Iterator[list[str]]:
+    """Collect what GDAL only logs: tags, such as the georeference, beyond the end of a cut TIFF."""
+    found: list[str] = []
+    thread = threading.get_ident()
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.thread == thread and "IO error during reading" in record.getMessage():
+            found.append(record.getMessage())
+        return True
+
+    logger = logging.getLogger("rasterio._env")
+    logger.addFilter(collect)
+    try:
+        yield found
+    finally:
+        logger.removeFilter(collect)
+
+
+def _unreadable(name: str, error: Exception) -> OSError:
+    goes_to_gdal = re.match(r"/vsi|\w\w+:", name)
+    if not goes_to_gdal and not Path(name).exists():
+        return FileNotFoundError(f"{name}: no such file")
+    if not goes_to_gdal and Path(name).is_dir():
+        return IsADirectoryError(f"{name} is a directory; the path of a raster file is wanted")
+    reason = _one_line(error.__cause__ or error).removeprefix(f"'{name}' ")
+    return OSError(f"{name} cannot be read as a raster, is it damaged or of another kind? {reason}")
+
+
+def _one_line(value: object) -> str:
+    return " ".join(str(value).split())
+
+
+def _require_one_raster(dataset: Any, name: str) -> None:  # noqa: ANN401  (rasterio has no types)
+    if dataset.count:
+        return
+    names = ", ".join(dataset.subdatasets)
+    if not names:
+        raise ValueError(f"{name}: a raster with at least one band is wanted, got none")
+    raise ValueError(f"{name} holds several rasters; pass the name of one as the path: {names}")
+
+
+def _part(window: Any, shape: tuple[int, ...], name: str) -> Part:  # noqa: ANN401
+    """Return the rows and columns of a window, checked against the raster."""
+    rows, cols = shape
+    if window is None:
+        return (0, rows), (0, cols)
+    try:
+        row_range, col_range = window.toranges() if hasattr(window, "toranges") else window
+        row_start, row_stop = map(_whole, row_range)
+        col_start, col_stop = map(_whole, col_range)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(
+            "window must be a rasterio Window or ((row_start, row_stop), (col_start, col_stop)) "
+            f"in whole samples, got {_one_line(window)}"
+        ) from None
+    if not (0 <= row_start < row_stop <= rows and 0 <= col_start < col_stop <= cols):
+        raise ValueError(
+            f"{name}: the window, rows {row_start} to {row_stop} and columns {col_start} to "
+            f"{col_stop}, must lie inside the raster of {rows} rows and {cols} columns"
+        )
+    return (row_start, row_stop), (col_start, col_stop)
+
+
+def _whole(value: Any) -> int:  # noqa: ANN401
+    if int(value) != value:
+        raise ValueError(value)
+    return int(value)
+
+
+def _require_memory(part: Part, bytes_per_sample: int, name: str) -> None:
+    rows, cols = (stop - start for start, stop in part)
+    needed, available = rows * cols * bytes_per_sample, _available_memory()
+    if available is not None and needed > available:
+        raise MemoryError(
+            f"{name}: {rows} rows of {cols} samples need {needed / 1e9:.1f} GB of memory, "
+            f"{available / 1e9:.1f} GB are available; read a part of the raster with window="
+        )
+
+
+def _available_memory() -> int | None:
+    """Return the bytes of memory one can still take, None where the system does not tell."""
+    # sysconf's free pages leave out what the file cache would give back, hence Linux's own figure.
+    with suppress(OSError):
+        found = re.search(r"MemAvailable:\s*(\d+) kB", Path("/proc/meminfo").read_text())
+        if found:
+            return int(found[1]) * 1024
+    with suppress(AttributeError, ValueError, OSError):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def _read_band(dataset: Any, name: str, part: Part, band: int) -> Heights:  # noqa: ANN401
+    if band not in dataset.indexes:
+        raise ValueError(f"{name}: band must be from 1 to {dataset.count}, got {band!r}")
+    dtype = np.dtype(dataset.dtypes[band - 1])
+    if dtype.kind not in "fiu":
+        raise TypeError(f"{name}: heights must be real numbers, band {band} holds {dtype}")
+    float32_is_exact = dtype == np.float32 or dtype.itemsize <= 2
+    _require_memory(part, 4 + 1 if float32_is_exact else 8 + 4 + 1, name)
+    values = dataset.read(band, window=part, out_dtype="float32" if float32_is_exact else "float64")
+    _make_void(values, dataset.nodatavals[band - 1], _hidden(dataset, part, band))
+    if dtype.kind in "iu" and dtype.itemsize == 8:
+        _require_exact(values, name)
+    return _scaled(values, dataset.scales[band - 1], dataset.offsets[band - 1])
+
+
+def _require_exact(values: Heights, name: str) -> None:
+    largest = np.fmax.reduce(np.abs(values), axis=None)
+    if largest >= _LARGEST_EXACT_INTEGER:
+        raise ValueError(
+            f"{name}: heights must be less than 2**53 to fit float64, got {largest:.4g}; "
+            "subtract an offset or declare it as nodata"
+        )
+
+
+def _hidden(dataset: Any, part: Part, band: int) -> NDArray[np.bool_] | None:  # noqa: ANN401
+    """Return where a mask band or an alpha band hides the samples, None if there is neither.
+
+    GDAL's own masked reading takes one of mask, nodata and alpha and forgets the others.
+    """
+    from rasterio.enums import ColorInterp, MaskFlags
+
+    flags = set(dataset.mask_flag_enums[band - 1])
+    hidden = []
+    if not flags or (MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags):
+        hidden.append(dataset.read_masks(band, window=part) == 0)
+    for other, meaning in enumerate(dataset.colorinterp, start=1):
+        if meaning == ColorInterp.alpha and other != band:
+            hidden.append(dataset.read(other, window=part) == 0)
+    return np.logical_or.reduce(hidden) if hidden else None
+
+
+def _make_void(values: Heights, nodata: float | None, hidden: NDArray[np.bool_] | None) -> None:
+    """Set to NaN, in place, the samples that hold ``nodata`` or are ``hidden``."""
+    if hidden is not None:
+        np.copyto(values, np.nan, where=hidden)
+    if nodata is None or np.isnan(nodata):
+        return
+    with np.errstate(over="ignore"):
+        nodata_as_stored = values.dtype.type(nodata)
+    for rows in _row_chunks(values.shape):
+        np.copyto(values[rows], np.nan, where=values[rows] == nodata_as_stored)
+
+
+def _scaled(values: Heights, scale: float, offset: float) -> Heights:
+    """Return ``values * scale + offset``, computed in float64 and rounded to float32."""
+    if scale == 1.0 and offset == 0.0:
+        return values
+    heights = values if values.dtype == np.float32 else np.empty(values.shape, np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for rows in _row_chunks(values.shape):
+            heights[rows] = values[rows].astype(np.float64) * scale + offset
+    return heights
+
+
+def _row_chunks(shape: tuple[int, ...]) -> Iterator[slice]:
+    step = max(1, _CHUNK_SAMPLES // shape[1])
+    return (slice(start, start + step) for start in range(0, shape[0], step))
+
+
+def _is_coloured(dataset: Any) -> bool:  # noqa: ANN401
+    bands = dataset.count
+    return set(dataset.dtypes) == {"uint8"} and (bands in (3, 4) or _has_palette(dataset))
+
+
+def _has_palette(dataset: Any) -> bool:  # noqa: ANN401
+    from rasterio.enums import ColorInterp
+
+    return dataset.count == 1 and bool(dataset.colorinterp[0] == ColorInterp.palette)
+
+
+def _read_colours(
+    dataset: Any,  # noqa: ANN401
+    name: str,
+    part: Part,
+    band: int,
+    encoding: str | None,
+) -> Heights:
+    if not _is_coloured(dataset):
+        raise ValueError(
+            f"{name}: encoding={encoding!r} needs three or four bands of uint8, "
+            f"got {dataset.count} of {dataset.dtypes[0]}; leave encoding out"
+        )
+    if band != 1:
+        raise ValueError(
+            f"{name}: a raster of colours is read as a whole, got band={band!r}; "
+            "pass encoding='none' to read one band of it as heights"
+        )
+    _require_memory(part, 4 + 3 + 2, name)
+    codes = _read_codes(dataset, part)
+    scale, offset = _SCALE_AND_OFFSET[encoding or _plausible_encoding(codes, name)]
+    return _scaled(codes, scale, offset)
+
+
+def _read_codes(dataset: Any, part: Part) -> NDArray[np.float32]:  # noqa: ANN401
+    """Return ``65536 R + 256 G + B``, which float32 holds exactly; NaN where void."""
+    codes = (_palette_codes if _has_palette(dataset) else _rgb_codes)(dataset, part)
+    _make_void(codes, _nodata_code(dataset), _hidden(dataset, part, band=1))
+    return codes
+
+
+def _rgb_codes(dataset: Any, part: Part) -> NDArray[np.float32]:  # noqa: ANN401
+    codes = np.zeros([stop - start for start, stop in part], np.float32)
+    for colour in dataset.read((1, 2, 3), window=part):
+        codes *= 256.0
+        codes += colour
+    return codes
+
+
+def _palette_codes(dataset: Any, part: Part) -> NDArray[np.float32]:  # noqa: ANN401
+    palette = np.full(256, np.nan, np.float32)
+    for index, (red, green, blue, alpha) in dataset.colormap(1).items():
+        if alpha and index != dataset.nodata:
+            palette[index] = 65536 * red + 256 * green + blue
+    indices: NDArray[np.uint8] = dataset.read(1, window=part)
+    return palette[indices]
+
+
+def _nodata_code(dataset: Any) -> float | None:  # noqa: ANN401
+    """Return the code of the colour that is nodata in all three bands, if there is one."""
+    nodata = dataset.nodatavals[:3]
+    if len(nodata) < 3 or None in nodata:
+        return None
+    red, green, blue = nodata
+    return float(65536 * red + 256 * green + blue)
+
+
+def _plausible_encoding(codes: NDArray[np.float32], name: str) -> str:
+    lowest = float(np.fmin.reduce(codes, axis=None))
+    highest = float(np.fmax.reduce(codes, axis=None))
+    plausible = [
+        encoding
+        for encoding, (scale, offset) in _SCALE_AND_OFFSET.items()
+        if lowest * scale + offset >= _LOWEST_ON_EARTH
+        and highest * scale + offset <= _HIGHEST_ON_EARTH
+    ]
+    if len(plausible) == 1:
+        return plausible[0]
+    raise ValueError(
+        f"{name}: its colours are heights on Earth neither as terrain-RGB nor as Terrarium; "
+        "pass encoding='terrain-rgb' or 'terrarium' if they are, or encoding='none' to read "
+        "one band as heights"
+    )
+
+
+def _transform(dataset: Any, name: str, part: Part) -> Affine:  # noqa: ANN401
+    (row_start, _), (col_start, _) = part
+    if dataset.transform != Affine.identity():
+        return _moved(dataset.transform, row_start + 0.5, col_start + 0.5)
+    if dataset.gcps[0]:
+        warnings.warn(
+            f"{name} is placed by ground control points, which are left out: x is the column and "
+            "y minus the row; gdalwarp gives such a raster a transform",
+            stacklevel=4,
+        )
+    return _moved(_NORTH_UP, row_start, col_start)
+
+
+def _moved(transform: Affine, rows: float, cols: float) -> Affine:
+    a, b, x, d, e, y = transform[:6]
+    return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
+
+
+def _crs(dataset: Any, name: str) -> pyproj.CRS | None:  # noqa: ANN401
+    try:
+        crs = dataset.crs
+        return as_crs(crs.to_wkt(version="WKT2_2019")) if crs else None
+    except ValueError as error:  # rasterio's CRSError is one, too
+        warnings.warn(
+            f"{name}: its CRS is left out, for pyproj does not know it: {_one_line(error)}",
+            stacklevel=4,
+        )
+        return None

@@ -1,0 +1,675 @@
+"""Reading rasters: exact heights, every kind of void, the right place, and one-line errors."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from rasterio.control import GroundControlPoint
+from rasterio.enums import ColorInterp
+from rasterio.windows import Window
+
+from rtin import Grid
+from rtin.io import grids
+from rtin.io.grids import read_grid, suspicious_values
+
+PLACE = Affine(10.0, 0.0, 1000.0, 0.0, -20.0, 9000.0)
+RAMP = np.arange(20.0).reshape(4, 5)
+
+
+def write_raster(path, bands, *, driver="GTiff", transform=PLACE, crs="EPSG:32628", **more):
+    """Write one band (2-D) or several (3-D); ``mask`` and ``tags`` are written, too."""
+    bands = np.atleast_3d(np.asarray(bands).T).T
+    mask, tags, colorinterp, scale = (
+        more.pop(key, None) for key in ("mask", "tags", "colorinterp", "scale")
+    )
+    colormap = more.pop("colormap", None)
+    profile = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2]}
+    place = {"crs": crs} if "gcps" in more else {}
+    if transform is not None:
+        place = {"transform": transform, "crs": crs}
+    with warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK="YES"):
+        warnings.simplefilter("ignore")
+        with rasterio.open(
+            path, "w", driver=driver, dtype=bands.dtype, **profile, **place, **more
+        ) as file:
+            if colorinterp is not None:
+                file.colorinterp = colorinterp
+            file.write(bands)
+            if colormap is not None:
+                file.write_colormap(1, colormap)
+            if mask is not None:
+                file.write_mask(mask)
+            if scale is not None:
+                file.scales, file.offsets = ([value] * len(bands) for value in scale)
+            file.update_tags(**(tags or {}))
+    return path
+
+
+def encode(heights, scale, offset):
+    codes = np.round((heights - offset) / scale).astype(np.int64)
+    return np.stack([codes >> 16, codes >> 8 & 255, codes & 255]).astype(np.uint8)
+
+
+def one_line(error):
+    return len(str(error.value).splitlines()) == 1
+
+
+# Heights
+
+
+@pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint16", "float32"])
+def test_narrow_heights_come_as_the_same_float32(tmp_path, dtype):
+    grid = read_grid(write_raster(tmp_path / "a.tif", RAMP.astype(dtype)))
+    assert grid.heights.dtype == np.float32
+    np.testing.assert_array_equal(grid.heights, RAMP)
+
+
+@pytest.mark.parametrize("dtype", ["int32", "uint32", "int64", "uint64", "float64"])
+def test_wide_heights_come_as_float32_only_where_that_is_exact(tmp_path, dtype):
+    exact = read_grid(write_raster(tmp_path / "a.tif", RAMP.astype(dtype)))
+    finer = (RAMP + 2**24 + 1).astype(dtype)
+    kept = read_grid(write_raster(tmp_path / "b.tif", finer))
+    assert (exact.heights.dtype, kept.heights.dtype) == (np.float32, np.float64)
+    np.testing.assert_array_equal(kept.heights, finer)
+
+
+def test_integers_too_large_for_float64_are_refused(tmp_path):
+    path = write_raster(tmp_path / "a.tif", (RAMP + 1).astype(np.int64) * 2**60 // 20)
+    with pytest.raises(ValueError, match=r"a\.tif: heights must be less than 2\*\*53"):
+        read_grid(path)
+
+
+def test_scale_and_offset_are_applied_and_stay_float32(tmp_path):
+    stored = RAMP.astype(np.int16)
+    grid = read_grid(write_raster(tmp_path / "a.tif", stored, nodata=7, scale=(0.1, -500.0)))
+    expected = np.where(stored == 7, np.nan, stored * 0.1 - 500.0).astype(np.float32)
+    assert grid.heights.dtype == np.float32
+    np.testing.assert_array_equal(grid.heights, expected)
+
+
+def test_scaled_float64_is_rounded_to_float32_once(tmp_path):
+    stored = RAMP / 3.0
+    grid = read_grid(write_raster(tmp_path / "a.tif", stored, scale=(0.3048, 1.0)))
+    np.testing.assert_array_equal(grid.heights, (stored * 0.3048 + 1.0).astype(np.float32))
+
+
+def test_reads_the_band_asked_for(tmp_path):
+    path = write_raster(tmp_path / "a.tif", np.stack([RAMP, RAMP + 100]).astype(np.float32))
+    np.testing.assert_array_equal(read_grid(path, band=2).heights, RAMP + 100)
+
+
+# Voids
+
+
+@pytest.mark.parametrize(
+    ("dtype", "nodata"),
+    [
+        ("int16", -32768),
+        ("uint8", 255),
+        ("int32", 2**31 - 1),
+        ("int64", -9999),
+        ("float32", -9999.0),
+        ("float32", -3.4e38),
+        ("float32", -3.4028234663852886e38),
+        ("float32", float("nan")),
+        ("float32", float("inf")),
+        ("float64", -1.7976931348623157e308),
+    ],
+)
+def test_nodata_is_void_as_the_band_stores_it(tmp_path, dtype, nodata):
+    stored = RAMP.astype(dtype)
+    stored[1, 2] = nodata
+    grid = read_grid(write_raster(tmp_path / "a.tif", stored, nodata=nodata))
+    expected = RAMP.copy()
+    expected[1, 2] = np.nan
+    assert grid.heights.dtype == np.float32
+    np.testing.assert_array_equal(grid.heights, expected)
+
+
+def test_nodata_mask_and_nan_are_combined(tmp_path):
+    stored = RAMP.astype(np.float32)
+    stored[0, 0], stored[1, 1] = -9999.0, np.nan
+    shown = np.full(RAMP.shape, True)
+    shown[2, 2] = False
+    path = write_raster(tmp_path / "a.tif", stored, nodata=-9999.0, mask=shown)
+    expected = RAMP.copy()
+    expected[[0, 1, 2], [0, 1, 2]] = np.nan
+    np.testing.assert_array_equal(read_grid(path).heights, expected)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "float32"])
+def test_an_alpha_band_hides_samples_beside_nodata(tmp_path, dtype):
+    alpha = np.full(RAMP.shape, 200)
+    alpha[3, 4] = 0
+    path = write_raster(
+        tmp_path / "a.tif",
+        np.stack([RAMP, alpha]).astype(dtype),
+        nodata=5,
+        colorinterp=[ColorInterp.gray, ColorInterp.alpha],
+    )
+    expected = RAMP.copy()
+    expected[[1, 3], [0, 4]] = np.nan
+    np.testing.assert_array_equal(read_grid(path).heights, expected)
+
+
+def test_a_fill_value_nobody_declared_is_kept_and_pointed_out(tmp_path):
+    stored = RAMP.astype(np.float32)
+    stored[0, :3], stored[3, 4], stored[2, 2] = -9999.0, 1e20, np.nan
+    grid = read_grid(write_raster(tmp_path / "a.tif", stored))
+    np.testing.assert_array_equal(grid.heights, stored)
+    assert suspicious_values(grid) == [
+        "-9999 in 3 samples: undeclared nodata?",
+        "1e+20 in 1 samples: undeclared nodata?",
+    ]
+
+
+def test_fill_values_behind_fill_values_are_pointed_out():
+    heights = RAMP.copy()
+    heights[0, :4] = -3.4e38, -32768, -32767, 65535
+    assert [line.split()[0] for line in suspicious_values(Grid(heights))] == [
+        "-3.4e+38",
+        "65535",
+        "-32768",
+        "-32767",
+    ]
+
+
+def test_ordinary_heights_are_not_suspicious():
+    assert suspicious_values(Grid([[-430.5, 0.0], [8848.0, np.nan]])) == []
+
+
+@settings(deadline=None, derandomize=True, max_examples=40)
+@given(data=st.data())
+def test_any_mixture_of_voids_reads_as_its_union(tmp_path_factory, data):
+    dtype = data.draw(st.sampled_from(["uint8", "int16", "uint16", "int32", "float32", "float64"]))
+    shape = data.draw(hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=6))
+    stored = data.draw(hnp.arrays(dtype, shape, elements=st.integers(0, 4)))
+    nodata = data.draw(st.none() | st.integers(0, 5))
+    shown = data.draw(st.none() | hnp.arrays(bool, shape))
+    scale = data.draw(st.sampled_from([(1.0, 0.0), (0.25, 100.0)]))
+    expected = stored * scale[0] + scale[1]
+    expected[(stored == nodata) | (False if shown is None else ~shown)] = np.nan
+    path = tmp_path_factory.mktemp("voids") / "a.tif"
+    write_raster(path, stored, nodata=nodata, mask=shown, scale=scale)
+    if np.isnan(expected).all():
+        with pytest.raises(ValueError, match="hold no value"):
+            read_grid(path)
+    else:
+        np.testing.assert_array_equal(read_grid(path).heights, expected)
+
+
+# Place
+
+
+@pytest.mark.parametrize("convention", ["Area", "Point"])
+def test_a_sample_lies_at_the_centre_of_its_cell_in_both_conventions(tmp_path, convention):
+    path = write_raster(
+        tmp_path / "a.tif", RAMP.astype(np.int16), tags={"AREA_OR_POINT": convention}
+    )
+    grid = read_grid(path)
+    assert grid.transform == Affine(10.0, 0.0, 1005.0, 0.0, -20.0, 8990.0)
+    assert grid.crs.to_epsg() == 32628
+    with rasterio.Env(GTIFF_POINT_GEO_IGNORE="YES"), rasterio.open(path) as file:
+        stored_origin = file.transform[2], file.transform[5]
+    assert stored_origin == ((1005.0, 8990.0) if convention == "Point" else (1000.0, 9000.0))
+
+
+def test_corner_samples_of_an_hgt_tile_lie_on_whole_degrees(tmp_path):
+    stored = np.full((1201, 1201), 300, ">i2")
+    stored[0, 0], stored[5, 6] = 17, -32768
+    path = tmp_path / "N45E006.hgt"
+    path.write_bytes(stored.tobytes())
+    grid = read_grid(path)
+    a, _, x, _, e, y = grid.transform[:6]
+    np.testing.assert_allclose([x, y, x + 1200 * a, y + 1200 * e], [6, 46, 7, 45], atol=1e-9)
+    assert grid.heights[0, 0] == 17
+    assert np.isnan(grid.heights[5, 6])
+    assert grid.n_samples == grid.heights.size - 1
+
+
+@pytest.mark.parametrize("transform", [PLACE, Affine(10.0, 2.0, 5.0, 3.0, -9.0, 7.0), None])
+@pytest.mark.parametrize("window", [((1, 4), (2, 5)), Window(2, 1, 3, 3), Window(2.0, 1.0, 3, 3)])
+def test_a_window_is_a_slice_in_its_place(tmp_path, transform, window):
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.float32), transform=transform)
+    whole, part = read_grid(path), read_grid(path, window=window)
+    np.testing.assert_array_equal(part.heights, RAMP[1:4, 2:5])
+    a, b, x, d, e, y = whole.transform[:6]
+    assert part.transform == Affine(a, b, x + 2 * a + b, d, e, y + 2 * d + e)
+
+
+def test_voids_stay_where_they_are_in_a_window(tmp_path):
+    shown = np.full(RAMP.shape, True)
+    shown[2, 3] = False
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.int16), nodata=12, mask=shown)
+    part = read_grid(path, window=((1, 4), (2, 5)))
+    np.testing.assert_array_equal(np.argwhere(np.isnan(part.heights)), [[1, 0], [1, 1]])
+
+
+def test_a_raster_without_georeference_gets_the_transform_of_a_grid(tmp_path):
+    grid = read_grid(
+        write_raster(tmp_path / "a.png", RAMP.astype(np.uint16), driver="PNG", transform=None)
+    )
+    assert grid.transform == Grid(RAMP).transform
+    assert grid.crs is None
+
+
+def test_ground_control_points_are_left_out_with_a_warning(tmp_path):
+    points = [
+        GroundControlPoint(row, col, col * 2.0, row * 3.0) for row in (0, 3) for col in (0, 4)
+    ]
+    path = write_raster(
+        tmp_path / "a.tif", RAMP.astype(np.int16), transform=None, gcps=points, crs="EPSG:4326"
+    )
+    with pytest.warns(UserWarning, match="ground control points") as caught:
+        grid = read_grid(path)
+    assert grid.transform == Grid(RAMP).transform
+    assert caught[0].filename == __file__
+
+
+def test_a_crs_that_pyproj_does_not_know_is_left_out_with_a_warning(tmp_path, monkeypatch):
+    def unknown(wkt):
+        raise ValueError(f"crs must be one that pyproj knows, got {wkt!r}:\nno")
+
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.int16))
+    monkeypatch.setattr(grids, "as_crs", unknown)
+    with pytest.warns(UserWarning, match="CRS is left out") as caught:
+        grid = read_grid(path)
+    assert grid.crs is None
+    assert grid.transform[2] == 1005.0
+    assert len(caught) == 1
+    assert "\n" not in str(caught[0].message)
+
+
+# Colours
+
+SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1 / 256, -32768.0)}
+LAND = np.array([[-11000.0, -10000.5], [0.0, 0.25], [3776.1, 8848.9]])
+
+
+@pytest.mark.parametrize("encoding", ["terrain-rgb", "terrarium"])
+@pytest.mark.parametrize(("driver", "options"), [("PNG", {}), ("WEBP", {"LOSSLESS": "YES"})])
+def test_tiles_of_coded_heights_are_recognised(tmp_path, encoding, driver, options):
+    scale, offset = SCALE_AND_OFFSET[encoding]
+    land = np.maximum(LAND, offset)
+    path = tmp_path / "tile.png"
+    write_raster(path, encode(land, scale, offset), driver=driver, transform=None, **options)
+    for asked in (None, encoding):
+        heights = read_grid(path, encoding=asked).heights
+        assert heights.dtype == np.float32
+        np.testing.assert_allclose(heights, land, atol=scale / 2 + 1e-3, rtol=0)
+
+
+def test_transparent_pixels_are_void_and_need_not_be_plausible(tmp_path):
+    colours = np.concatenate([encode(LAND, 1 / 256, -32768.0), np.full((1, 3, 2), 255, np.uint8)])
+    colours[:, 1, 0] = 255, 255, 255, 0
+    path = write_raster(tmp_path / "a.png", colours, driver="PNG", transform=None)
+    heights = read_grid(path, window=((1, 3), (0, 2))).heights
+    np.testing.assert_array_equal(np.isnan(heights), [[True, False], [False, False]])
+    np.testing.assert_allclose(heights[1], LAND[2], atol=1 / 256)
+
+
+def test_a_colour_that_is_nodata_in_every_band_is_void(tmp_path):
+    colours = encode(LAND, 1 / 256, -32768.0)
+    colours[:, 1, 0] = 0
+    colours[0, 2, 0] = 128
+    grid = read_grid(write_raster(tmp_path / "a.tif", colours, nodata=0))
+    np.testing.assert_array_equal(np.argwhere(np.isnan(grid.heights)), [[1, 0]])
+
+
+def test_a_tile_with_a_palette_is_read_by_its_colours(tmp_path):
+    colours = {0: (1, 134, 160, 255), 1: (1, 134, 170, 255), 2: (9, 9, 9, 0)}
+    indices = np.array([[0, 1, 2], [2, 1, 1]], np.uint8)  # also the heights
+    path = write_raster(tmp_path / "a.png", indices, driver="PNG", colormap=colours)
+    expected = np.array([[0, 1, np.nan], [np.nan, 1, 1]])
+    np.testing.assert_array_equal(read_grid(path).heights, expected)
+    colours[2] = (1, 134, 180, 255)
+    opaque = write_raster(tmp_path / "a.tif", indices, colormap=colours)
+    np.testing.assert_array_equal(read_grid(opaque).heights, indices)
+    np.testing.assert_array_equal(read_grid(opaque, encoding="none").heights, indices)
+    declared = write_raster(tmp_path / "b.tif", indices, colormap=colours, nodata=2)
+    np.testing.assert_array_equal(read_grid(declared).heights, expected)
+
+
+@pytest.mark.parametrize("n_bands", [3, 4])
+def test_a_picture_is_not_taken_for_heights(tmp_path, n_bands):
+    picture = np.random.default_rng(0).integers(0, 255, (n_bands, 8, 8)).astype(np.uint8)
+    path = write_raster(tmp_path / "a.png", picture, driver="PNG", transform=None)
+    with pytest.raises(ValueError, match="pass encoding=") as error:
+        read_grid(path)
+    assert one_line(error)
+    picture[2][picture[-1] == 0] = 0 if n_bands == 3 else picture[2][picture[-1] == 0]
+    plain = read_grid(path, band=3, encoding="none").heights
+    np.testing.assert_array_equal(plain[~np.isnan(plain)], picture[2][~np.isnan(plain)])
+
+
+def test_a_band_number_does_not_go_with_colours(tmp_path):
+    path = write_raster(tmp_path / "a.tif", encode(LAND, 0.1, -10000.0).clip(0, 255))
+    with pytest.raises(ValueError, match="encoding='none'"):
+        read_grid(path, band=2)
+
+
+def test_an_encoding_needs_colours(tmp_path):
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.int16))
+    with pytest.raises(ValueError, match="got 1 of int16; leave encoding out"):
+        read_grid(path, encoding="terrarium")
+    with pytest.raises(ValueError, match="encoding must be"):
+        read_grid(path, encoding="terrainrgb")
+
+
+# Other formats
+
+
+@pytest.mark.parametrize(
+    ("driver", "name", "dtype"),
+    [
+        ("COG", "a.tif", "float32"),
+        ("AAIGrid", "a.asc", "int16"),
+        ("GSBG", "a.grd", "float32"),
+        ("JP2OpenJPEG", "a.jp2", "int16"),
+        ("PNG", "a.png", "uint16"),
+    ],
+)
+def test_reads_other_formats_and_refuses_their_truncated_files(
+    tmp_path, capfd, driver, name, dtype
+):
+    heights = np.random.default_rng(1).integers(0, 900, (64, 48)).astype(dtype)
+    lossless = {"REVERSIBLE": "YES", "QUALITY": "100"} if driver == "JP2OpenJPEG" else {}
+    square = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 9000.0)
+    path = write_raster(tmp_path / name, heights, driver=driver, transform=square, **lossless)
+    np.testing.assert_array_equal(read_grid(path).heights, heights)
+    whole = path.read_bytes()
+    for kept in (0.95, 0.5, 0.05):
+        path.write_bytes(whole[: int(len(whole) * kept)])
+        with pytest.raises(OSError, match="cannot be read as a raster") as error:
+            read_grid(path)
+        assert one_line(error)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_reads_a_usgs_dem(tmp_path):
+    heights = np.arange(12, dtype=np.int16).reshape(4, 3)
+    square = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 9000.0)
+    grid = read_grid(write_raster(tmp_path / "a.dem", heights, driver="USGSDEM", transform=square))
+    lo, hi = np.nanmin(grid.heights), np.nanmax(grid.heights)
+    assert (lo, hi) == (0, 11)
+
+
+def test_reads_a_vrt_over_another_file(tmp_path):
+    write_raster(tmp_path / "a.tif", RAMP.astype(np.int16))
+    vrt = tmp_path / "a.vrt"
+    vrt.write_text(
+        '<VRTDataset rasterXSize="4" rasterYSize="3"><VRTRasterBand dataType="Int16" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
+        '<SrcRect xOff="1" yOff="1" xSize="4" ySize="3"/>'
+        '<DstRect xOff="0" yOff="0" xSize="4" ySize="3"/></SimpleSource></VRTRasterBand>'
+        "</VRTDataset>"
+    )
+    np.testing.assert_array_equal(read_grid(vrt).heights, RAMP[1:, 1:])
+    (tmp_path / "a.tif").unlink()
+    with pytest.raises(OSError, match=r"a\.vrt cannot be read"):
+        read_grid(vrt)
+
+
+def write_netcdf(path, *names):
+    netcdf = pytest.importorskip("netCDF4")
+    with netcdf.Dataset(path, "w") as file:
+        for dim, size in zip(("lat", "lon"), RAMP.shape, strict=True):
+            file.createDimension(dim, size)
+            axis = file.createVariable(dim, "f8", (dim,))
+            axis.units = {"lat": "degrees_north", "lon": "degrees_east"}[dim]
+            axis[:] = 10.0 + 0.5 * np.arange(size)
+        for name in names:
+            variable = file.createVariable(name, "i2", ("lat", "lon"), fill_value=-1)
+            variable.set_auto_scale(False)
+            variable.scale_factor, variable.add_offset = 0.5, 100.0
+            variable[:] = np.where(RAMP == 3, -1, RAMP)
+    return path
+
+
+def test_netcdf_reads_north_up_with_scale_offset_and_fill(tmp_path):
+    grid = read_grid(write_netcdf(tmp_path / "a.nc", "height"))
+    expected = np.where(RAMP == 3, np.nan, RAMP * 0.5 + 100.0)[::-1]
+    np.testing.assert_array_equal(grid.heights, expected)
+    np.testing.assert_allclose(grid.transform[:6], (0.5, 0.0, 10.0, 0.0, -0.5, 11.5))
+
+
+def test_a_file_of_several_rasters_names_them(tmp_path):
+    path = write_netcdf(tmp_path / "a.nc", "height", "depth")
+    with pytest.raises(ValueError, match="holds several rasters; pass the name of one") as error:
+        read_grid(path)
+    assert one_line(error)
+    name = next(word for word in str(error.value).split() if word.endswith("depth"))
+    assert read_grid(name).shape == RAMP.shape
+
+
+@pytest.mark.parametrize("dtype", [">f4", "<i2", "float64", "int64"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_npy_reads_whole_and_by_window(tmp_path, dtype, order):
+    path = tmp_path / "a.npy"
+    np.save(path, np.array(RAMP, dtype, order=order))
+    whole, part = read_grid(path), read_grid(path, window=((1, 3), (2, 4)))
+    assert whole.heights.dtype == np.float32
+    assert not isinstance(whole.heights, np.memmap)
+    np.testing.assert_array_equal(whole.heights, RAMP)
+    np.testing.assert_array_equal(part.heights, RAMP[1:3, 2:4])
+    assert whole.transform == Grid(RAMP).transform
+    assert part.transform == Affine(1.0, 0.0, 2.0, 0.0, -1.0, -1.0)
+
+
+# Bad input
+
+
+def test_a_missing_file_is_named_in_one_line(tmp_path):
+    for name in ("none.tif", "none.npy", "none.hgt"):
+        with pytest.raises(FileNotFoundError, match=rf"{name}: no such file") as error:
+            read_grid(tmp_path / name)
+        assert one_line(error)
+
+
+def test_a_directory_is_not_a_raster(tmp_path):
+    for name in ("folder", "folder.npy"):
+        (tmp_path / name).mkdir()
+        with pytest.raises(IsADirectoryError, match="is a directory"):
+            read_grid(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.png", "a.asc", "a.hgt", "a.npy", "a.nc"])
+@pytest.mark.parametrize("content", [b"", b"hello, I am a text\n" * 9, b"\x93NUMPY", b"II*\0"])
+def test_another_kind_of_file_is_unreadable(tmp_path, capfd, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(OSError, match="cannot be read as a raster") as error:
+        read_grid(path)
+    assert one_line(error)
+    assert str(path) in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("band", [0, 3, -1, "1"])
+def test_a_band_that_does_not_exist_says_how_many_there_are(tmp_path, band):
+    path = write_raster(tmp_path / "a.tif", np.stack([RAMP, RAMP]).astype(np.float32))
+    with pytest.raises(ValueError, match="band must be from 1 to 2, got"):
+        read_grid(path, band=band)
+
+
+@pytest.mark.parametrize("suffix", ["tif", "npy"])
+@pytest.mark.parametrize(
+    "window", [((0, 5), (0, 5)), ((-1, 2), (0, 2)), ((2, 2), (0, 5)), Window(3, 0, 3, 2)]
+)
+def test_a_window_outside_the_raster_says_its_size(tmp_path, suffix, window):
+    path = tmp_path / f"a.{suffix}"
+    np.save(path, RAMP) if suffix == "npy" else write_raster(path, RAMP.astype(np.float32))
+    with pytest.raises(ValueError, match="inside the raster of 4 rows and 5 columns"):
+        read_grid(path, window=window)
+
+
+@pytest.mark.parametrize(
+    "window", [(0, 2, 0, 2), ((0, 2),), "all", ((0, None), (0, 2)), Window(0.5, 0, 2, 2), 7]
+)
+def test_a_window_of_another_form_is_refused(tmp_path, window):
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.float32))
+    with pytest.raises(ValueError, match="window must be a rasterio Window or") as error:
+        read_grid(path, window=window)
+    assert one_line(error)
+
+
+@pytest.mark.parametrize(
+    ("heights", "error", "message"),
+    [
+        (np.ones((1, 5), np.float32), ValueError, "at least 2 rows and 2 columns"),
+        (np.full((3, 3), np.nan, np.float32), ValueError, "hold no value at all"),
+        (np.array([[0, 1], [np.inf, 0]], np.float32), ValueError, "infinite one at row 1"),
+        (np.ones((3, 3), np.complex64), TypeError, "real numbers, band 1 holds complex64"),
+    ],
+)
+def test_heights_that_are_none_name_the_file(tmp_path, heights, error, message):
+    with pytest.raises(error, match=rf"a\.tif: .*{message}") as caught:
+        read_grid(write_raster(tmp_path / "a.tif", heights))
+    assert one_line(caught)
+
+
+@pytest.mark.parametrize(
+    ("array", "error", "message"),
+    [
+        (np.ones((2, 2, 2)), ValueError, "two dimensions"),
+        (np.ones((2, 2), complex), TypeError, "real numbers"),
+        (np.array([["a", "b"], ["c", "d"]]), TypeError, "real numbers"),
+        (np.array([[None, 1], [2, 3]], object), OSError, "cannot be read"),
+    ],
+)
+def test_an_npy_without_heights_names_the_file(tmp_path, array, error, message):
+    path = tmp_path / "a.npy"
+    np.save(path, array, allow_pickle=True)
+    with pytest.raises(error, match=rf"a\.npy.*{message}") as caught:
+        read_grid(path)
+    assert one_line(caught)
+
+
+def test_an_npy_has_one_band_and_no_colours(tmp_path):
+    np.save(tmp_path / "a.npy", RAMP)
+    for options in ({"band": 2}, {"encoding": "terrarium"}):
+        with pytest.raises(ValueError, match="one band of plain heights"):
+            read_grid(tmp_path / "a.npy", **options)
+
+
+def test_a_truncated_npy_is_unreadable(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, RAMP)
+    path.write_bytes(path.read_bytes()[:-8])
+    with pytest.raises(OSError, match="cannot be read"):
+        read_grid(path)
+
+
+def test_a_raster_larger_than_memory_asks_for_a_window(tmp_path):
+    side = 1 << 24
+    vrt = tmp_path / "a.vrt"
+    vrt.write_text(
+        f'<VRTDataset rasterXSize="{side}" rasterYSize="{side}">'
+        '<VRTRasterBand dataType="Float32" band="1"/></VRTDataset>'
+    )
+    with pytest.raises(MemoryError, match=r"need \d+\.\d GB .* with window=") as error:
+        read_grid(vrt)
+    assert one_line(error)
+    assert read_grid(vrt, window=((0, 3), (0, 4))).shape == (3, 4)
+
+
+@pytest.mark.parametrize("suffix", ["tif", "npy", "png"])
+def test_every_kind_of_raster_is_measured_against_the_memory(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "npy":
+        np.save(path, RAMP)
+    else:
+        write_raster(path, encode(RAMP, 0.1, -10000.0) if suffix == "png" else RAMP)
+    monkeypatch.setattr(grids, "_available_memory", lambda: 10)
+    with pytest.raises(MemoryError, match="need"):
+        read_grid(path)
+    monkeypatch.setattr(grids, "_available_memory", lambda: None)
+    assert read_grid(path).n_samples
+
+
+def test_available_memory_is_a_number_of_bytes_or_unknown():
+    available = grids._available_memory()
+    assert available is None or available > 1 << 20
+
+
+def test_importing_the_reader_does_not_import_rasterio():
+    code = "import sys, rtin.io.grids; sys.exit('rasterio' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# Fuzz. rasterio reports, by way of Python's unraisable hook, GDAL messages that are not UTF-8.
+
+fuzz = settings(
+    deadline=None,
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+quiet = pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::UserWarning"
+)
+
+
+def read_or_refuse(path: Path) -> bool:
+    """Return True for a grid, False for an error in one line; let everything else through."""
+    try:
+        return isinstance(read_grid(path), Grid)
+    except (OSError, ValueError, TypeError, MemoryError) as error:
+        message = str(error)
+    assert len(message.splitlines()) == 1
+    assert path.name in message
+    return False
+
+
+@quiet
+@fuzz
+@given(content=st.binary(max_size=300), suffix=st.sampled_from(["tif", "png", "npy", "asc", "hgt"]))
+def test_any_bytes_are_a_grid_or_one_line(tmp_path, content, suffix):
+    path = tmp_path / f"N45E006.{suffix}"
+    path.write_bytes(content)
+    read_or_refuse(path)
+
+
+@pytest.fixture(scope="module")
+def good_files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    heights = np.random.default_rng(2).integers(0, 900, (9, 9)).astype(np.int16)
+    np.save(folder / "a.npy", heights)
+    write_raster(folder / "a.tif", heights, nodata=3, compress="deflate")
+    write_raster(folder / "a.png", heights.astype(np.uint16), driver="PNG", transform=None)
+    square = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 9000.0)
+    write_raster(folder / "a.asc", heights, driver="AAIGrid", transform=square)
+    return {path.suffix: path.read_bytes() for path in folder.glob("a.???")}
+
+
+@quiet
+@fuzz
+@given(data=st.data())
+def test_a_damaged_file_is_a_grid_or_one_line(tmp_path, good_files, data):
+    suffix = data.draw(st.sampled_from([".npy", ".tif", ".png", ".asc"]))
+    content = bytearray(good_files[suffix])
+    for _ in range(data.draw(st.integers(0, 6))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    read_or_refuse(path)
+
+
+@quiet
+@pytest.mark.parametrize("suffix", [".npy", ".tif", ".png"])
+def test_no_truncated_file_is_a_grid(tmp_path, good_files, suffix):
+    path, content = tmp_path / f"a{suffix}", good_files[suffix]
+    path.write_bytes(content)
+    assert read_or_refuse(path)
+    # A PNG holds its heights without the 12 bytes that end it.
+    for length in range(0, len(content) - 12, 7):
+        path.write_bytes(content[:length])
+        assert not read_or_refuse(path)
