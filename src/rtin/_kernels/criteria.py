@@ -21,13 +21,14 @@ def errors_along_row(here, spacing, errors):
     n_cols = here.size
     for col in range(1, n_cols - 1):
         errors[col] = error_between(here[col - 1], here[col], here[col + 1])
-    errors[0] = errors[n_cols - 1] = np.inf
+    errors[n_cols - 1] = np.inf
     step = 2
     while step < spacing:
         for col in range(step, n_cols - step, 2 * step):
             errors[col] = error_between(here[col - step], here[col], here[col + step])
         errors[(n_cols - 1) // step * step] = np.inf
         step *= 2
+    errors[::spacing] = np.inf
 
 
 @jit
