@@ -1,0 +1,391 @@
+"""The command line: parse, call, print. Heavy imports wait until a command needs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtin._version import __version__
+
+if TYPE_CHECKING:
+    from rtin.criteria import VerticalError
+    from rtin.grid import Grid
+    from rtin.mesh import TriangleMesh
+
+__all__ = ["app", "main"]
+
+_QUIET_SECONDS = 1.0
+
+app = typer.Typer(
+    help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+_Dem = Annotated[Path, typer.Argument(metavar="DEM", help="Any raster that GDAL reads, or .npy.")]
+_Json = Annotated[bool, typer.Option("--json", help="Print a JSON summary to stdout.")]
+_Band = Annotated[int, typer.Option(min=1, help="Band to read, from 1 on.")]
+_Window = Annotated[
+    tuple[int, int, int, int] | None,
+    typer.Option(
+        metavar="ROW ROW COL COL",
+        help="Read only rows from the first to before the second number, and columns likewise.",
+        show_default=False,
+    ),
+]
+_Encoding = Annotated[
+    str | None,
+    typer.Option(help="How an RGB tile holds heights: terrain-rgb or terrarium.", metavar="NAME"),
+]
+_MaxError = Annotated[
+    float | None,
+    typer.Option(
+        metavar="HEIGHT",
+        help="Least mesh with every sample within this vertical distance, in the raster's units.",
+    ),
+]
+_MaxVertices = Annotated[
+    int | None, typer.Option(metavar="N", help="Best mesh of at most N vertices.")
+]
+_MaxTriangles = Annotated[
+    int | None, typer.Option(metavar="N", help="Best mesh of at most N triangles.")
+]
+_Threshold = Annotated[
+    float | None,
+    typer.Option(
+        metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
+    ),
+]
+_ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
+
+
+def main() -> None:
+    """Run the ``rtin`` program."""
+    app()
+
+
+@app.callback(invoke_without_command=True)
+def _program(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)
+    ] = False,
+) -> None:
+    if version:
+        print(f"rtin {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def coarsen(
+    dem: _Dem,
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Mesh to write: .glb .obj .ply .stl .vtu .vtp .html."),
+    ],
+    max_error: _MaxError = None,
+    max_vertices: _MaxVertices = None,
+    max_triangles: _MaxTriangles = None,
+    threshold: _Threshold = None,
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    z_scale: _ZScale = 1.0,
+    base: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HEIGHT",
+            help="Close the mesh to a solid for printing, this much deep below its lowest point.",
+        ),
+    ] = None,
+    keep_degrees: Annotated[
+        bool, typer.Option("--keep-degrees", help="Do not scale degrees to metres.")
+    ] = False,
+    as_json: _Json = False,
+) -> None:
+    """Coarsen a raster to a mesh within a tolerance or a budget."""
+    asked = _the_only_option(
+        max_error=max_error,
+        max_vertices=max_vertices,
+        max_triangles=max_triangles,
+        threshold=threshold,
+    )
+    _require_positive("--z-scale", z_scale)
+    _require_positive("--base", base)
+    with _one_line_errors():
+        from rtin.io.meshes import placement_of, require_writable, write_mesh
+
+        require_writable(out)
+        started = time.perf_counter()
+        grid = _read_grid(dem, band, window, encoding)
+        mesh, error = _coarsen_and_measure(grid, asked)
+        with _progress(f"writing {out}"):
+            write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)
+        summary = {
+            "input": str(dem),
+            "output": str(out),
+            **_counts(grid, mesh),
+            "asked": asked,
+            **_achieved(error),
+            "bytes": out.stat().st_size,
+            "seconds": round(time.perf_counter() - started, 3),
+        }
+        note = placement_of(mesh, z_scale=z_scale, keep_degrees=keep_degrees).note
+        if note:
+            summary["note"] = note
+        _report(summary, as_json)
+
+
+@app.command()
+def info(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="A raster or a mesh.")],
+    band: _Band = 1,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
+) -> None:
+    """Say what a raster or a mesh holds, and what is suspicious about it."""
+    with _one_line_errors():
+        from rtin.io.meshes import is_mesh_path
+
+        if is_mesh_path(path):
+            summary = _mesh_info(path)
+        else:
+            summary = _grid_info(path, band, encoding)
+        _report(summary, as_json)
+
+
+@app.command()
+def plot(
+    path: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh that rtin reads.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture: .png .pdf .svg .jpg.")],
+    dem: Annotated[
+        Path | None, typer.Option(metavar="DEM", help="Raster to shade below the mesh.")
+    ] = None,
+) -> None:
+    """Draw a mesh from above, over the hillshade of its raster where that is given."""
+    with _one_line_errors():
+        from rtin.io.meshes import read_mesh
+        from rtin.plotting import save_picture
+
+        with _progress(f"reading {path}"):
+            mesh = read_mesh(path)
+        grid = None if dem is None else _read_grid(dem, 1, None, None)
+        with _progress(f"drawing {out}"):
+            save_picture(mesh, out, grid=grid)
+        _report({"input": str(path), "output": str(out), **_mesh_counts(mesh)}, as_json=False)
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder for the files made.")] = Path("demo"),
+    max_error: Annotated[
+        float, typer.Option(metavar="METRES", help="Tolerance to coarsen to.")
+    ] = 25.0,
+    as_json: _Json = False,
+) -> None:
+    """Coarsen a real DEM, the Jacksboro fault, into files to look at."""
+    asked = _the_only_option(max_error=max_error)
+    with _one_line_errors():
+        from rtin import samples
+        from rtin.io.meshes import write_mesh
+        from rtin.plotting import save_picture
+
+        started = time.perf_counter()
+        folder.mkdir(parents=True, exist_ok=True)
+        grid = samples.jacksboro_fault()
+        mesh, error = _coarsen_and_measure(grid, asked)
+        written = [folder / name for name in ("terrain.glb", "terrain.html", "terrain.png")]
+        with _progress(f"writing {folder}"):
+            write_mesh(mesh, written[0], z_scale=2.0)
+            write_mesh(mesh, written[1], z_scale=2.0)
+            save_picture(mesh, written[2], grid=grid)
+        summary = {
+            "terrain": "Jacksboro fault, Tennessee (matplotlib's sample data)",
+            **_counts(grid, mesh),
+            "asked": asked,
+            **_achieved(error),
+            "seconds": round(time.perf_counter() - started, 3),
+            "written": [str(path) for path in written],
+            "note": "heights are doubled in terrain.glb and terrain.html",
+        }
+        _report(summary, as_json)
+
+
+# --- steps --------------------------------------------------------------------------------------
+
+
+def _read_grid(
+    dem: Path, band: int, window: tuple[int, int, int, int] | None, encoding: str | None
+) -> Grid:
+    from rtin.io.grids import read_grid
+
+    slices = None if window is None else ((window[0], window[1]), (window[2], window[3]))
+    with _progress(f"reading {dem}"):
+        return read_grid(dem, window=slices, band=band, encoding=encoding)
+
+
+def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMesh, VerticalError]:
+    from rtin._kernels._jit import compiled_before
+    from rtin._kernels.coarsening import fill_triangles
+    from rtin.coarsening import coarsen
+    from rtin.criteria import vertical_error
+
+    if not compiled_before(fill_triangles):
+        _say("first run: compiling, which takes some 15 seconds, once for this machine")
+    rows, cols = grid.shape
+    with _progress(f"coarsening {rows} × {cols} samples"):
+        mesh = coarsen(grid, **asked)
+    with _progress("measuring the achieved error"):
+        return mesh, vertical_error(mesh, grid)
+
+
+def _grid_info(path: Path, band: int, encoding: str | None) -> dict[str, Any]:
+    import numpy as np
+
+    from rtin.io.grids import suspicious_values
+
+    grid = _read_grid(path, band, None, encoding)
+    rows, cols = grid.shape
+    return {
+        "input": str(path),
+        "rows": rows,
+        "cols": cols,
+        "samples": grid.n_samples,
+        "voids": rows * cols - grid.n_samples,
+        "lowest": float(np.nanmin(grid.heights)),
+        "highest": float(np.nanmax(grid.heights)),
+        "type": str(grid.heights.dtype),
+        "crs": None if grid.crs is None else grid.crs.to_string(),
+        "transform": list(grid.transform)[:6],
+        "suspicious": suspicious_values(grid),
+    }
+
+
+def _mesh_info(path: Path) -> dict[str, Any]:
+    from rtin.io.meshes import read_mesh
+    from rtin.validity import complaints
+
+    with _progress(f"reading {path}"):
+        mesh = read_mesh(path)
+    low, high = mesh.bounds
+    return {
+        "input": str(path),
+        **_mesh_counts(mesh),
+        "from": low.tolist(),
+        "to": high.tolist(),
+        "crs": None if mesh.crs is None else mesh.crs.to_string(),
+        "complaints": complaints(mesh),
+    }
+
+
+def _mesh_counts(mesh: TriangleMesh) -> dict[str, int]:
+    return {"vertices": mesh.n_vertices, "triangles": mesh.n_triangles}
+
+
+def _counts(grid: Grid, mesh: TriangleMesh) -> dict[str, int]:
+    rows, cols = grid.shape
+    return {"rows": rows, "cols": cols, "samples": grid.n_samples, **_mesh_counts(mesh)}
+
+
+def _achieved(error: VerticalError) -> dict[str, Any]:
+    figures: dict[str, Any] = {"max_error": error.max, "rms": error.rms, "mean": error.mean}
+    return {"achieved": figures, "uncovered_samples": error.n_uncovered}
+
+
+# --- options ------------------------------------------------------------------------------------
+
+
+def _the_only_option(**options: float | None) -> dict[str, float]:
+    """Return the one tolerance or budget given; anything else is bad usage."""
+    given = {name: value for name, value in options.items() if value is not None}
+    flags = ", ".join(_flag(name) for name in options)
+    if len(given) != 1:
+        got = " and ".join(_flag(name) for name in given) or "none"
+        raise typer.BadParameter(f"exactly one of {flags} is wanted, got {got}")
+    name, value = next(iter(given.items()))
+    if not value >= 0:
+        raise typer.BadParameter(f"{_flag(name)} must be zero or more, got {value}")
+    return given
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _require_positive(flag: str, value: float | None) -> None:
+    if value is not None and not 0.0 < value < float("inf"):
+        raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
+
+
+# --- messages -----------------------------------------------------------------------------------
+
+
+def _report(summary: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(summary))
+        return
+    for name, value in summary.items():
+        if value is None or value == []:
+            continue
+        print(f"{name.replace('_', ' '):>18}  {_readable(value)}")
+
+
+def _readable(value: Any) -> str:  # noqa: ANN401
+    if isinstance(value, dict):
+        return ", ".join(f"{name.replace('_', ' ')} {_readable(v)}" for name, v in value.items())
+    if isinstance(value, list):
+        return ", ".join(_readable(item) for item in value)
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) < 1e6 else f"{value:.2f}"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", " ")
+    return str(value)
+
+
+def _say(message: str) -> None:
+    print(f"rtin: {message}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[None]:
+    """Say on stderr what is going on, once it has taken more than a second."""
+    timer = threading.Timer(_QUIET_SECONDS, _say, [f"{what} …"])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    """Turn a failure into one line on stderr and exit code 1; RTIN_DEBUG=1 shows the traceback."""
+    try:
+        yield
+    except BrokenPipeError:
+        # Whoever read our output has gone; Python would complain again while closing it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(1) from None
+    except (OSError, ValueError, TypeError, MemoryError, ImportError) as error:
+        if os.environ.get("RTIN_DEBUG"):
+            raise
+        _say(_one_line(error))
+        raise typer.Exit(1) from None
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__
