@@ -45,7 +45,7 @@ def encode(
         placed.triangles,
         vertex_normals=normals,
         visual=_visual(_texture_coordinates(placed), colours),
-        metadata={"rtin": placed.placement.as_dict()},
+        metadata={"rtin": placed.as_dict()},
         process=False,
     )
 

@@ -51,17 +51,9 @@ class Placement:
         """Return the file's ``points``, shape (n, 3), as they stand in the world."""
         return points / self.scale + self.origin
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return what a file has to store so that a reader can undo this placement."""
-        return {"crs": self.crs, "origin": list(self.origin), "scale": list(self.scale)}
-
-    def as_json(self) -> str:
-        """Return ``as_dict`` as one line of ASCII."""
-        return json.dumps(self.as_dict())
-
     @classmethod
     def from_dict(cls, stored: dict[str, Any]) -> Placement:
-        """Return the placement that ``as_dict`` stored.
+        """Return the placement that ``PlacedMesh.as_dict`` stored.
 
         Raises
         ------
@@ -104,6 +96,23 @@ class PlacedMesh:
     placement: Placement
     terrain_bounds: NDArray[np.float64]
     is_solid: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what a file has to store so that a reader can undo the placement.
+
+        The counts tell a reader whether another program has changed the mesh since.
+        """
+        return {
+            "crs": self.placement.crs,
+            "origin": list(self.placement.origin),
+            "scale": list(self.placement.scale),
+            "vertices": len(self.vertices),
+            "triangles": len(self.triangles),
+        }
+
+    def as_json(self) -> str:
+        """Return ``as_dict`` as one line of ASCII."""
+        return json.dumps(self.as_dict())
 
     @property
     def centre(self) -> NDArray[np.float64]:
@@ -177,7 +186,8 @@ def _in_metres(
 def metres_per_unit(crs: pyproj.CRS, latitude: float) -> tuple[float, float]:
     """Return the metres in one unit of longitude and in one of latitude at ``latitude``.
 
-    The unit, usually the degree, and ``latitude`` are those of the geographic CRS. From the radii of curvature of the CRS's ellipsoid, which may be that of another planet.
+    The unit, usually the degree, and ``latitude`` are those of the geographic CRS. From the radii
+    of curvature of its ellipsoid, which may be that of another planet.
     """
     geod = crs.get_geod()
     assert geod is not None, "a geographic CRS has an ellipsoid"

@@ -16,7 +16,7 @@ def ply(placed: PlacedMesh) -> bytes:
     """
     header = (
         "ply\nformat binary_little_endian 1.0\n"
-        f"comment rtin {placed.placement.as_json()}\n"
+        f"comment rtin {placed.as_json()}\n"
         f"element vertex {len(placed.vertices)}\n"
         "property double x\nproperty double y\nproperty double z\n"
         f"element face {len(placed.triangles)}\n"
@@ -50,7 +50,7 @@ def obj(placed: PlacedMesh) -> bytes:
         include_color=False,
         include_texture=False,
         digits=max(6, 9 - int(np.floor(np.log10(extent)))),
-        header=f"rtin {placed.placement.as_json()}",
+        header=f"rtin {placed.as_json()}",
     )
     assert isinstance(text, str)
     return text.encode()

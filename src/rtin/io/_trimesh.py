@@ -25,23 +25,42 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
     import trimesh
 
     suffix = path.suffix.lower()
+    # Without this its OBJ reader drops vertices that no triangle uses.
+    options = {"maintain_order": True} if suffix == ".obj" else {}
     with path.open("rb") as file:
-        scene: Any = trimesh.load(file, file_type=suffix[1:], force="scene", process=False)
-    points, corners, n_points, stored = [], [], 0, None
+        scene: Any = trimesh.load(
+            file, file_type=suffix[1:], force="scene", process=False, **options
+        )
+    vertices, triangles, stored = _joined(scene)
+    if suffix == ".glb":
+        return z_up(vertices), triangles, stored
+    stored = _stored_in_header(path, suffix)
+    if stored is not None and stored["triangles"] != len(triangles):
+        raise ValueError(
+            f"{stored['triangles']} triangles are announced but {len(triangles)} are there; "
+            "the file is cut short, or was changed without its first comment"
+        )
+    return vertices, triangles, stored
+
+
+def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:  # noqa: ANN401
+    """Return the vertices and triangles of all meshes of a trimesh scene, where its nodes put them.
+
+    A single mesh also has what it stores under "rtin".
+    """
+    points, corners, n_points, stored = [], [], 0, []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         part = scene.geometry[name]
-        if not isinstance(part, trimesh.Trimesh):
+        if not hasattr(part, "faces"):
             continue
         points.append(np.asarray(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3])
         corners.append(np.asarray(part.faces) + n_points)
         n_points += len(part.vertices)
-        stored = part.metadata.get("rtin")
+        stored.append(part.metadata.get("rtin"))
     vertices = np.concatenate([np.empty((0, 3)), *points])
     triangles = np.concatenate([np.empty((0, 3), dtype=np.int64), *corners])
-    if suffix == ".glb":
-        return z_up(vertices), triangles, stored
-    return vertices, triangles, _stored_in_header(path, suffix)
+    return vertices, triangles, stored[0] if len(stored) == 1 else None
 
 
 def _stored_in_header(path: Path, suffix: str) -> Any:  # noqa: ANN401

@@ -36,8 +36,11 @@ def vtu(placed: PlacedMesh) -> bytes:
 
 
 def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN401
-    """Return the file as bytes: VTK's own writing to disk aborts the process on a full disk."""
-    data.field_data["rtin"] = [placed.placement.as_json()]
+    """Return the file as bytes: VTK's own writing to disk aborts the process on a full disk.
+
+    The placement is an array of ASCII codes: meshio reads no file that has an array of strings.
+    """
+    data.field_data["rtin"] = np.frombuffer(placed.as_json().encode("ascii"), dtype=np.uint8)
     writer.SetInputData(data)
     writer.SetDataModeToBinary()
     writer.WriteToOutputStringOn()
@@ -52,14 +55,16 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
     pyvista = _pyvista()
     with _silence():
         data = pyvista.read(path)
-    stored = data.field_data["rtin"][0] if "rtin" in data.field_data else None
+    if data.n_points == 0:
+        raise ValueError("VTK finds no points in it")
+    stored = bytes(data.field_data["rtin"]) if "rtin" in data.field_data else None
     if isinstance(data, pyvista.PolyData):
         surface = data if data.is_all_triangles else data.triangulate()
         triangles = surface.faces.reshape(-1, 4)[:, 1:]
     else:
         surface = data.triangulate()
         triangles = surface.cells_dict.get(pyvista.CellType.TRIANGLE, np.empty((0, 3), int))
-    placement = None if stored is None else json.loads(str(stored))
+    placement = None if stored is None else json.loads(stored)
     return np.asarray(surface.points, dtype=np.float64), np.asarray(triangles), placement
 
 

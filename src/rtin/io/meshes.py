@@ -125,9 +125,10 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
 
     A file that ``write_mesh`` wrote (but for .stl) gives back vertices in the world, triangles in
     the same order, and the CRS; a solid comes back with its walls and bottom. The triangles of any
-    other file are taken for a terrain: z up (y up in .glb), vertices at the same place merged into
-    the first of them, polygons cut into triangles, several meshes put together, and each triangle
-    turned counter-clockwise from above with its longest edge first. It has no CRS.
+    other file, or of one that another program has changed, are taken for a terrain: z up (y up in
+    .glb), vertices at the same place merged into the first of them, polygons cut into triangles,
+    several meshes put together, and each triangle turned counter-clockwise from above with its
+    longest edge first.
 
     Raises
     ------
@@ -162,7 +163,10 @@ def _as_mesh(
     if stored is None:
         return TriangleMesh.from_triangles(*_merged(points, triangles))
     placed = Placement.from_dict(stored)
-    return TriangleMesh(placed.to_world(points), triangles, placed.crs)
+    if (stored.get("vertices"), stored.get("triangles")) == (len(points), len(triangles)):
+        return TriangleMesh(placed.to_world(points), triangles, placed.crs)
+    points, triangles = _merged(points, triangles)
+    return TriangleMesh.from_triangles(placed.to_world(points), triangles, placed.crs)
 
 
 def _merged(
