@@ -1,0 +1,336 @@
+"""Slow and literal twins of what `rtin` computes: plain Python, never optimised.
+
+Nothing here is shared with the package. The lattice comes from bisecting explicit corners at the
+midpoint of the hypotenuse; heights are exact fractions. Every place is a pair (row, col).
+"""
+
+from fractions import Fraction
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+
+# --- the lattice --------------------------------------------------------------------------------
+# A triangle is (apex, a, b): its hypotenuse runs from a to b.
+
+
+def lattice_size(shape):
+    """The smallest power of two that is not below rows - 1 and cols - 1."""
+    size = 1
+    while size + 1 < max(shape):
+        size *= 2
+    return size
+
+
+def corners_of_lattice(size):
+    return {(0, 0), (0, size), (size, 0), (size, size)}
+
+
+def roots(size):
+    """The two triangles of the coarsest mesh, on either side of the diagonal from (0, 0)."""
+    return [((0, size), (0, 0), (size, size)), ((size, 0), (0, 0), (size, size))]
+
+
+def midpoint(triangle):
+    _, a, b = triangle
+    return (a[0] + b[0]) // 2, (a[1] + b[1]) // 2
+
+
+def is_unit(triangle):
+    """Whether the hypotenuse has no sample at its midpoint."""
+    _, a, b = triangle
+    return (a[0] + b[0]) % 2 == 1 or (a[1] + b[1]) % 2 == 1
+
+
+def halves(triangle):
+    apex, a, b = triangle
+    middle = midpoint(triangle)
+    return [(middle, apex, a), (middle, apex, b)]
+
+
+@cache
+def all_triangles(size):
+    """Every triangle of the hierarchy, the larger before the smaller."""
+    found = list(roots(size))
+    for triangle in found:
+        if not is_unit(triangle):
+            found += halves(triangle)
+    return found
+
+
+@cache
+def bisections(size):
+    """The triangles whose hypotenuse each vertex bisects: two, or one on the border."""
+    found = {}
+    for triangle in all_triangles(size):
+        if not is_unit(triangle):
+            found.setdefault(midpoint(triangle), []).append(triangle)
+    return found
+
+
+def parents(vertex, size):
+    return [apex for apex, _, _ in bisections(size).get(vertex, [])]
+
+
+def ends(vertex, size):
+    """The ends a and b of the edge that the vertex bisects; None at the lattice's corners."""
+    if vertex not in bisections(size):
+        return None
+    _, a, b = bisections(size)[vertex][0]
+    return a, b
+
+
+def level_spacing(vertex, size):
+    """How far apart the samples are on the coarsest level that has this vertex."""
+    spacing = size
+    while vertex[0] % spacing or vertex[1] % spacing:
+        spacing //= 2
+    return spacing
+
+
+def cross(origin, p, q):
+    """Twice the signed area of a triangle."""
+    return (p[0] - origin[0]) * (q[1] - origin[1]) - (p[1] - origin[1]) * (q[0] - origin[0])
+
+
+@cache
+def weights(triangle):
+    """Barycentric coordinates, at each sample inside or on the triangle: {place: (apex, a, b)}."""
+    apex, a, b = triangle
+    area = cross(apex, a, b)
+    found = {}
+    for row in range(min(p[0] for p in triangle), max(p[0] for p in triangle) + 1):
+        for col in range(min(p[1] for p in triangle), max(p[1] for p in triangle) + 1):
+            place = (row, col)
+            parts = cross(place, a, b), cross(apex, place, b), cross(apex, a, place)
+            parts = tuple(Fraction(part, area) for part in parts)
+            if min(parts) >= 0:
+                found[place] = parts
+    return found
+
+
+# --- heights ------------------------------------------------------------------------------------
+
+
+def exact_heights(heights):
+    """{place: exact height} of the samples that have one."""
+    return {
+        (row, col): Fraction(float(heights[row, col]))
+        for row, col in np.ndindex(heights.shape)
+        if not np.isnan(heights[row, col])
+    }
+
+
+def worst_error(triangle, exact):
+    """Largest distance of a sample from a triangle's plane; 0 if it has none, inf if some lack."""
+    samples = weights(triangle)
+    n_valid = sum(place in exact for place in samples)
+    if n_valid == 0:
+        return 0
+    if n_valid < len(samples):
+        return float("inf")
+    return max(abs(error) for error in errors_in(triangle, exact).values())
+
+
+def errors_in(triangle, exact):
+    planes = [exact[corner] for corner in triangle]
+    return {
+        place: sum(part * z for part, z in zip(parts, planes, strict=True)) - exact[place]
+        for place, parts in weights(triangle).items()
+    }
+
+
+def is_good(triangle, exact, tolerance):
+    """Whether a triangle needs no split: all its samples void, or all within the tolerance."""
+    worst = worst_error(triangle, exact)
+    if worst in (0, float("inf")):
+        return worst == 0 or is_unit(triangle)
+    if np.ndim(tolerance) == 0:
+        return worst <= tolerance
+    return all(abs(e) <= tolerance[place] for place, e in errors_in(triangle, exact).items())
+
+
+# --- the paper's algorithm ----------------------------------------------------------------------
+
+
+def retriangulate(kept, size):
+    """Step 4: bisect, at the longest edge, each triangle with a kept vertex besides its corners.
+
+    Again and again until there is none: each bisection adds a vertex. Returns the vertices and
+    the triangles.
+    """
+    kept = set(kept) | corners_of_lattice(size)
+    triangles = roots(size)
+    while True:
+        hanging = {t for t in triangles if any(p in kept for p in weights(t) if p not in t)}
+        if not hanging:
+            return kept, triangles
+        kept |= {midpoint(t) for t in hanging}
+        triangles = [part for t in triangles for part in (halves(t) if t in hanging else [t])]
+
+
+def rtin_coarsening(unmarked, size):
+    """Algorithm RTIN-Coarsening of the paper, from its matrix C: the vertices not to be removed."""
+    kept = set(unmarked) | corners_of_lattice(size)
+    spacing = 1
+    while spacing < size:  # steps 1 and 2: the levels from k down, and the proper vertices of each
+        for vertex in [v for v in kept if level_spacing(v, size) == spacing]:
+            kept |= set(ends(vertex, size))  # step 3
+        spacing *= 2
+    return retriangulate(kept, size)  # step 4
+
+
+def vertex_errors(heights):
+    """E(v) of Eq. (1), in float64."""
+    size = lattice_size(heights.shape)
+    errors = np.full(heights.shape, np.nan)
+    exact = exact_heights(heights)
+    for place in exact:
+        a, b = ends(place, size) or (None, None)
+        if a in exact and b in exact:
+            errors[place] = float(abs((exact[a] + exact[b]) / 2 - exact[place]))
+        else:
+            errors[place] = np.inf
+    return errors
+
+
+# --- the meshes ---------------------------------------------------------------------------------
+
+
+def least(heights, tolerance, keep=()):
+    """Vertices and triangles of the least conforming mesh whose triangles are all good.
+
+    While a triangle is not good, split it with what conformity demands. Both are those of the
+    whole lattice: ``visible`` leaves out what has a void corner.
+    """
+    size = lattice_size(heights.shape)
+    exact = exact_heights(heights)
+    kept, triangles = retriangulate(keep, size)
+    while bad := [t for t in triangles if not is_good(t, exact, tolerance)]:
+        kept, triangles = retriangulate(kept | {midpoint(t) for t in bad}, size)
+    return kept, triangles
+
+
+def thresholded(heights, threshold, keep=()):
+    """The paper's mesh for a threshold: E(v) < threshold is marked for removal."""
+    errors = vertex_errors(heights)
+    unmarked = {place for place in np.ndindex(heights.shape) if errors[place] >= threshold}
+    return with_outline(heights, unmarked, keep)
+
+
+def with_outline(heights, unmarked, keep=()):
+    """The paper's mesh for some unmarked vertices, with what the voids' outline needs."""
+    exact = exact_heights(heights)
+    outline, _ = least(heights, float("inf"), keep)
+    unmarked = {place for place in unmarked if place in exact}
+    return rtin_coarsening(outline | unmarked, lattice_size(heights.shape))
+
+
+def visible(heights, triangles):
+    """The triangles whose three corners have a height, each a frozenset of corners."""
+    exact = exact_heights(heights)
+    return {frozenset(t) for t in triangles if all(corner in exact for corner in t)}
+
+
+def corners_of(triangles):
+    return {corner for triangle in triangles for corner in triangle}
+
+
+def finest(heights):
+    """The finest triangles whose three samples have a height: what every mesh must cover."""
+    size = lattice_size(heights.shape)
+    return visible(heights, [t for t in all_triangles(size) if is_unit(t)])
+
+
+def family(heights, keep=()):
+    """(tolerance, triangles) of every least mesh, the coarsest first: all tolerances are tried."""
+    exact = exact_heights(heights)
+    errors = {worst_error(t, exact) for t in all_triangles(lattice_size(heights.shape))}
+    meshes = []
+    for tolerance in sorted({*errors, 0, float("inf")}, reverse=True):
+        triangles = visible(heights, least(heights, tolerance, keep)[1])
+        if not meshes or triangles != meshes[-1][1]:
+            meshes.append((tolerance, triangles))
+    return meshes
+
+
+# --- a mesh against its raster ------------------------------------------------------------------
+
+
+def places(mesh, grid):
+    """(row, col) of each vertex of a mesh that was coarsened from the grid."""
+    back = ~grid.transform
+    exact = [back @ (x, y) for x, y in mesh.vertices[:, :2]]
+    found = [(round(row), round(col)) for col, row in exact]
+    assert np.allclose([(col, row) for row, col in found], exact, atol=1e-6)
+    return found
+
+
+def triangles_of(mesh, grid):
+    """The triangles of such a mesh, each a frozenset of places."""
+    at = places(mesh, grid)
+    return {frozenset(at[corner] for corner in triangle) for triangle in mesh.triangles}
+
+
+def surface_minus_samples(mesh, grid):
+    """Surface - sample by barycentric coordinates in the world; NaN where there is neither."""
+    a, b, c, d, e, f = tuple(grid.transform)[:6]
+    rows, cols = np.indices(grid.shape)
+    x, y = (a * cols + b * rows), (d * cols + e * rows)
+    field = np.full(grid.shape, np.nan)
+    for triangle in mesh.triangles:
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = mesh.vertices[triangle] - (c, f, 0.0)
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area == 0.0:
+            continue
+        of_b = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
+        of_c = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
+        of_a = 1.0 - of_b - of_c
+        inside = (of_a >= -1e-7) & (of_b >= -1e-7) & (of_c >= -1e-7)
+        surface = of_a * az + of_b * bz + of_c * cz
+        field[inside] = surface[inside] - grid.heights[inside]
+    return field
+
+
+# --- all meshes of a small lattice --------------------------------------------------------------
+
+
+def closed_sets(size):
+    """Every set of vertices that holds the lattice's corners and the parents of its members."""
+    order = sorted(bisections(size), key=lambda vertex: len(ancestors(vertex, size)))
+    sets = [frozenset(corners_of_lattice(size))]
+    for vertex in order:
+        sets += [s | {vertex} for s in sets if all(p in s for p in parents(vertex, size))]
+    return sets
+
+
+def ancestors(vertex, size):
+    """The parents of a vertex, theirs, and so on: fewer for a parent than for its child."""
+    direct = parents(vertex, size)
+    return set(direct).union(*(ancestors(parent, size) for parent in direct))
+
+
+def conforming_meshes(size):
+    """Every conforming mesh made of bisections, as a frozenset of triangles: all are tried."""
+    north, south = ([t for t in trees(root) if is_conforming(t)] for root in roots(size))
+    return [one | other for one in north for other in south if is_conforming(one | other)]
+
+
+def trees(triangle):
+    """Every set of leaves that bisections of one triangle can make."""
+    meshes = [frozenset([triangle])]
+    if not is_unit(triangle):
+        left, right = (trees(half) for half in halves(triangle))
+        meshes += [one | other for one in left for other in right]
+    return meshes
+
+
+def is_conforming(triangles):
+    """Whether no corner of one triangle lies inside an edge of another."""
+    vertices = corners_of(triangles)
+    return not any(
+        cross(p, q, v) == 0 and min(p, q) < v < max(p, q)
+        for triangle in triangles
+        for p, q in pairwise((*triangle, triangle[0]))
+        for v in vertices
+    )
