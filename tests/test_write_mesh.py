@@ -16,7 +16,13 @@ from hypothesis import strategies as st
 
 from hand_meshes import bumpy, in_degrees, in_utm, touching_at_a_point, with_hole
 from rtin.io._atomic import replacing, write_bytes
-from rtin.io.meshes import placement_of, read_mesh, write_mesh
+from rtin.io.meshes import (
+    is_mesh_path,
+    placement_of,
+    read_mesh,
+    require_writable,
+    write_mesh,
+)
 from rtin.io.solid import close
 from rtin.mesh import TriangleMesh
 
@@ -401,11 +407,30 @@ def test_a_folder_in_the_place_of_the_file_is_told(tmp_path):
         write_mesh(bumpy(), tmp_path / "mesh.ply")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_permission_is_told(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(PermissionError, match="cannot write"):
+def test_a_folder_without_permission_is_told(tmp_path, monkeypatch):
+    # Root may write anywhere, so the answer of the system is replaced.
+    monkeypatch.setattr(os, "access", lambda folder, mode: Path(folder) != tmp_path)
+    with pytest.raises(PermissionError, match=r"cannot write .*mesh\.ply: no permission"):
         write_mesh(bumpy(), tmp_path / "mesh.ply")
+
+
+def test_what_is_wrong_with_a_path_is_told_before_the_work(tmp_path, monkeypatch):
+    require_writable(tmp_path / "mesh.vtu")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(FileNotFoundError, match="make it first"):
+        require_writable(tmp_path / "nowhere" / "mesh.glb")
+    with pytest.raises(ValueError, match="extension"):
+        require_writable(tmp_path / "mesh.tif")
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ImportError, match="pip install"):
+        require_writable(tmp_path / "mesh.vtu")
+
+
+def test_paths_of_meshes_are_told_from_those_of_rasters():
+    assert is_mesh_path("a.glb")
+    assert is_mesh_path("a.STL")
+    assert not is_mesh_path("a.tif")
+    assert not is_mesh_path("a.html")
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])

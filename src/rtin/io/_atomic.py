@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["replacing", "write_bytes"]
+__all__ = ["replacing", "require_place", "write_bytes"]
 
 
 @contextmanager
@@ -28,8 +28,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+    require_place(path)
     try:
-        _check_folder(target)
         yield part
         part.replace(target)
     except OSError as error:
@@ -51,12 +51,16 @@ def write_bytes(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
             file.write(chunk)
 
 
-def _check_folder(target: Path) -> None:
-    """Refuse at once what would fail only after the work of writing."""
-    if not target.parent.exists():
-        raise FileNotFoundError(f"there is no folder {target.parent}; make it first")
+def require_place(path: str | os.PathLike[str]) -> None:
+    """Raise an OSError where no file could be put at ``path``, before the work of writing it."""
+    target = Path(os.path.realpath(path))
+    wanted = f"cannot write {os.fspath(path)}"
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{wanted}: there is no folder {target.parent}; make it first")
     if target.is_dir():
-        raise IsADirectoryError("it is a folder; name a file in it")
+        raise IsADirectoryError(f"{wanted}: it is a folder; name a file in it")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise PermissionError(f"{wanted}: no permission to write in the folder {target.parent}")
 
 
 def _described(error: OSError, path: str | os.PathLike[str]) -> OSError:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from rtin.io._placement import PlacedMesh
 
-__all__ = ["read", "vtp", "vtu"]
+__all__ = ["read", "require_pyvista", "vtp", "vtu"]
 
 
 def vtp(placed: PlacedMesh) -> bytes:
     """Return ``placed`` as VTK PolyData (.vtp)."""
-    pyvista = _pyvista()
+    pyvista = require_pyvista()
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
     data = pyvista.PolyData.from_regular_faces(placed.vertices, placed.triangles)
@@ -27,7 +27,7 @@ def vtp(placed: PlacedMesh) -> bytes:
 
 def vtu(placed: PlacedMesh) -> bytes:
     """Return ``placed`` as a VTK unstructured grid (.vtu)."""
-    pyvista = _pyvista()
+    pyvista = require_pyvista()
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
     cells = {pyvista.CellType.TRIANGLE: placed.triangles}
@@ -52,7 +52,7 @@ def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN4
 
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:
     """Return vertices, triangles and the stored placement (or None) of a .vtp or .vtu file."""
-    pyvista = _pyvista()
+    pyvista = require_pyvista()
     with _silence():
         data = pyvista.read(path)
     if data.n_points == 0:
@@ -81,7 +81,8 @@ def _silence() -> Iterator[None]:
         vtkObject.SetGlobalWarningDisplay(display)
 
 
-def _pyvista() -> Any:  # noqa: ANN401
+def require_pyvista() -> Any:  # noqa: ANN401
+    """Return the module, or raise an ImportError that says how to install it."""
     try:
         import pyvista
     except ModuleNotFoundError:

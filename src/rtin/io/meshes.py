@@ -11,11 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin.io import _gltf, _polygons, _trimesh, _vtk, html
-from rtin.io._atomic import write_bytes
+from rtin.io._atomic import require_place, write_bytes
 from rtin.io._placement import PlacedMesh, Placement, place, placement
 from rtin.mesh import TriangleMesh
 
-__all__ = ["Placement", "placement_of", "read_mesh", "write_mesh"]
+__all__ = [
+    "Placement",
+    "is_mesh_path",
+    "placement_of",
+    "read_mesh",
+    "require_writable",
+    "write_mesh",
+]
 
 _ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
     ".glb": _gltf.glb,
@@ -97,12 +104,14 @@ def write_mesh(
 
 def placement_of(
     mesh: TriangleMesh,
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] = "any.glb",
     *,
     z_scale: float = 1.0,
     keep_degrees: bool = False,
 ) -> Placement:
     """Return how ``write_mesh`` with the same arguments shifts and scales ``mesh``.
+
+    Of ``path`` only the extension counts: .stl is placed differently from all the others.
 
     Returns
     -------
@@ -118,6 +127,28 @@ def placement_of(
     """
     centred = _known_suffix(path, _ENCODERS) == ".stl"
     return placement(mesh, z_scale=z_scale, keep_degrees=keep_degrees, centred=centred)
+
+
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Raise now what ``write_mesh`` would raise because of ``path``, before the work is done.
+
+    Raises
+    ------
+    ValueError
+        If the extension is unknown.
+    ImportError
+        If the format needs PyVista and that is not installed.
+    OSError
+        If the folder does not exist or may not be written to, or ``path`` is a folder.
+    """
+    if _known_suffix(path, _ENCODERS).startswith(".vt"):
+        _vtk.require_pyvista()
+    require_place(path)
+
+
+def is_mesh_path(path: str | os.PathLike[str]) -> bool:
+    """Return whether ``read_mesh`` knows the extension of ``path``."""
+    return Path(path).suffix.lower() in _DECODERS
 
 
 def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
