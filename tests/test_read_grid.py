@@ -1,5 +1,6 @@
 """Reading rasters: exact heights, every kind of void, the right place, and one-line errors."""
 
+import os
 import subprocess
 import sys
 import warnings
@@ -12,8 +13,10 @@ from affine import Affine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from rasterio._err import CPLE_BaseError
 from rasterio.control import GroundControlPoint
 from rasterio.enums import ColorInterp
+from rasterio.errors import CRSError, RasterioError
 from rasterio.windows import Window
 
 from rtin import Grid
@@ -51,6 +54,23 @@ def write_raster(path, bands, *, driver="GTiff", transform=PLACE, crs="EPSG:3262
                 file.scales, file.offsets = ([value] * len(bands) for value in scale)
             file.update_tags(**(tags or {}))
     return path
+
+
+def write_vrt(path, band, rows=4, cols=5):
+    path.write_text(
+        f"<VRTDataset rasterXSize='{cols}' rasterYSize='{rows}'>"
+        f"<VRTRasterBand dataType='Byte' band='1'>{band}</VRTRasterBand></VRTDataset>"
+    )
+    return path
+
+
+def vrt_source(band, row=0, col=0, rows=4, cols=5):
+    size = f"xSize='{cols}' ySize='{rows}'"
+    return (
+        "<SimpleSource><SourceFilename relativeToVRT='1'>a.tif</SourceFilename>"
+        f"<SourceBand>{band}</SourceBand><SrcRect xOff='{col}' yOff='{row}' {size}/>"
+        f"<DstRect xOff='0' yOff='0' {size}/></SimpleSource>"
+    )
 
 
 def encode(heights, scale, offset):
@@ -160,6 +180,23 @@ def test_an_alpha_band_hides_samples_beside_nodata(tmp_path, dtype):
     np.testing.assert_array_equal(read_grid(path).heights, expected)
 
 
+def test_an_alpha_band_asked_for_is_read_as_it_is(tmp_path):
+    bands = np.stack([RAMP, RAMP]).astype(np.float32)
+    meanings = [ColorInterp.gray, ColorInterp.alpha]
+    path = write_raster(tmp_path / "a.tif", bands, colorinterp=meanings)
+    np.testing.assert_array_equal(read_grid(path, band=2).heights, RAMP)
+
+
+def test_a_mask_of_one_band_hides_samples(tmp_path):
+    write_raster(tmp_path / "a.tif", np.stack([RAMP, RAMP != 7]).astype(np.uint8))
+    path = write_vrt(
+        tmp_path / "a.vrt",
+        f"{vrt_source(1)}<MaskBand><VRTRasterBand dataType='Byte'>{vrt_source(2)}"
+        "</VRTRasterBand></MaskBand>",
+    )
+    np.testing.assert_array_equal(read_grid(path).heights, np.where(RAMP == 7, np.nan, RAMP))
+
+
 def test_a_fill_value_nobody_declared_is_kept_and_pointed_out(tmp_path):
     stored = RAMP.astype(np.float32)
     stored[0, :3], stored[3, 4], stored[2, 2] = -9999.0, 1e20, np.nan
@@ -199,11 +236,13 @@ def test_any_mixture_of_voids_reads_as_its_union(tmp_path_factory, data):
     expected[(stored == nodata) | (False if shown is None else ~shown)] = np.nan
     path = tmp_path_factory.mktemp("voids") / "a.tif"
     write_raster(path, stored, nodata=nodata, mask=shown, scale=scale)
-    if np.isnan(expected).all():
-        with pytest.raises(ValueError, match="hold no value"):
-            read_grid(path)
-    else:
-        np.testing.assert_array_equal(read_grid(path).heights, expected)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(grids, "_CHUNK_SAMPLES", 7)
+        if np.isnan(expected).all():
+            with pytest.raises(ValueError, match="hold no value"):
+                read_grid(path)
+        else:
+            np.testing.assert_array_equal(read_grid(path).heights, expected)
 
 
 # Place
@@ -330,11 +369,23 @@ def test_a_tile_with_a_palette_is_read_by_its_colours(tmp_path):
     path = write_raster(tmp_path / "a.png", indices, driver="PNG", colormap=colours)
     expected = np.array([[0, 1, np.nan], [np.nan, 1, 1]])
     np.testing.assert_array_equal(read_grid(path).heights, expected)
-    colours[2] = (1, 134, 180, 255)
+    colours[0] = colours[2]
+    mostly_void = write_raster(tmp_path / "c.png", indices, driver="PNG", colormap=colours)
+    assert read_grid(mostly_void).n_samples == 3
+    colours[0], colours[2] = (1, 134, 160, 255), (1, 134, 180, 255)
     opaque = write_raster(tmp_path / "a.tif", indices, colormap=colours)
     np.testing.assert_array_equal(read_grid(opaque).heights, indices)
     np.testing.assert_array_equal(read_grid(opaque, encoding="none").heights, indices)
-    declared = write_raster(tmp_path / "b.tif", indices, colormap=colours, nodata=2)
+    entries = "".join(
+        "<Entry c1='{}' c2='{}' c3='{}' c4='{}'/>".format(*c) for c in colours.values()
+    )
+    declared = write_vrt(
+        tmp_path / "a.vrt",
+        f"<NoDataValue>2</NoDataValue><ColorInterp>Palette</ColorInterp>"
+        f"<ColorTable>{entries}</ColorTable>{vrt_source(1, rows=2, cols=3)}",
+        2,
+        3,
+    )
     np.testing.assert_array_equal(read_grid(declared).heights, expected)
 
 
@@ -374,6 +425,7 @@ def test_an_encoding_needs_colours(tmp_path):
         ("AAIGrid", "a.asc", "int16"),
         ("GSBG", "a.grd", "float32"),
         ("JP2OpenJPEG", "a.jp2", "int16"),
+        ("PNG", "a.png", "uint8"),
         ("PNG", "a.png", "uint16"),
     ],
 )
@@ -394,6 +446,26 @@ def test_reads_other_formats_and_refuses_their_truncated_files(
     assert capfd.readouterr() == ("", "")
 
 
+def test_damage_found_by_another_thread_stays_off_stderr(tmp_path, capfd):
+    heights = np.random.default_rng(1).integers(0, 900, (192, 128)).astype(np.int16)
+    tiled = {"BLOCKXSIZE": 64, "BLOCKYSIZE": 64}
+    path = write_raster(tmp_path / "a.jp2", heights, driver="JP2OpenJPEG", **tiled)
+    start_of_tile = b"\xff\x90\x00\x0a"
+    first, second, third, *others = path.read_bytes().split(start_of_tile)
+    path.write_bytes(start_of_tile.join([first, second, third + bytes(4), *others]))
+    with pytest.raises(OSError, match="cannot be read as a raster"):
+        read_grid(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_short_raw_file_is_refused_not_filled_with_zeros(tmp_path):
+    path = write_raster(tmp_path / "a.dat", RAMP.astype(np.float32), driver="ENVI")
+    np.testing.assert_array_equal(read_grid(path).heights, RAMP)
+    path.write_bytes(path.read_bytes()[:20])
+    with pytest.raises(OSError, match="too small"):
+        read_grid(path)
+
+
 def test_reads_a_usgs_dem(tmp_path):
     heights = np.arange(12, dtype=np.int16).reshape(4, 3)
     square = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 9000.0)
@@ -404,14 +476,7 @@ def test_reads_a_usgs_dem(tmp_path):
 
 def test_reads_a_vrt_over_another_file(tmp_path):
     write_raster(tmp_path / "a.tif", RAMP.astype(np.int16))
-    vrt = tmp_path / "a.vrt"
-    vrt.write_text(
-        '<VRTDataset rasterXSize="4" rasterYSize="3"><VRTRasterBand dataType="Int16" band="1">'
-        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
-        '<SrcRect xOff="1" yOff="1" xSize="4" ySize="3"/>'
-        '<DstRect xOff="0" yOff="0" xSize="4" ySize="3"/></SimpleSource></VRTRasterBand>'
-        "</VRTDataset>"
-    )
+    vrt = write_vrt(tmp_path / "a.vrt", vrt_source(1, 1, 1, 3, 4), 3, 4)
     np.testing.assert_array_equal(read_grid(vrt).heights, RAMP[1:, 1:])
     (tmp_path / "a.tif").unlink()
     with pytest.raises(OSError, match=r"a\.vrt cannot be read"):
@@ -450,18 +515,24 @@ def test_a_file_of_several_rasters_names_them(tmp_path):
     assert read_grid(name).shape == RAMP.shape
 
 
-@pytest.mark.parametrize("dtype", [">f4", "<i2", "float64", "int64"])
+@pytest.mark.parametrize("dtype", [">f4", "<f4", "<i2", "float64", "int64"])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_npy_reads_whole_and_by_window(tmp_path, dtype, order):
     path = tmp_path / "a.npy"
     np.save(path, np.array(RAMP, dtype, order=order))
     whole, part = read_grid(path), read_grid(path, window=((1, 3), (2, 4)))
     assert whole.heights.dtype == np.float32
-    assert not isinstance(whole.heights, np.memmap)
     np.testing.assert_array_equal(whole.heights, RAMP)
     np.testing.assert_array_equal(part.heights, RAMP[1:3, 2:4])
     assert whole.transform == Grid(RAMP).transform
     assert part.transform == Affine(1.0, 0.0, 2.0, 0.0, -1.0, -1.0)
+
+
+def test_a_grid_does_not_change_with_its_npy_file(tmp_path):
+    np.save(tmp_path / "a.npy", RAMP.astype(np.float32))
+    grid = read_grid(tmp_path / "a.npy")
+    np.lib.format.open_memmap(tmp_path / "a.npy", mode="r+")[:] = 0
+    np.testing.assert_array_equal(grid.heights, RAMP)
 
 
 # Bad input
@@ -493,6 +564,27 @@ def test_another_kind_of_file_is_unreadable(tmp_path, capfd, name, content):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
+def test_a_name_that_is_not_text_is_unreadable(tmp_path):
+    path = bytes(tmp_path) + b"/\xff.tif"
+    write_raster(tmp_path / "a.tif", RAMP.astype(np.float32)).rename(os.fsdecode(path))
+    with pytest.raises(OSError, match="cannot be read as a raster"):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(
+    "failure", [CPLE_BaseError(3, 1, "no"), CRSError("no"), RasterioError("no")]
+)
+def test_every_family_of_rasterio_failures_is_one_os_error(tmp_path, monkeypatch, failure):
+    def fail(*args):
+        raise failure
+
+    path = write_raster(tmp_path / "a.tif", RAMP.astype(np.float32))
+    monkeypatch.setattr(rasterio, "open", fail)
+    with pytest.raises(OSError, match=r"a\.tif cannot be read .* no$"):
+        read_grid(path)
+
+
 @pytest.mark.parametrize("band", [0, 3, -1, "1"])
 def test_a_band_that_does_not_exist_says_how_many_there_are(tmp_path, band):
     path = write_raster(tmp_path / "a.tif", np.stack([RAMP, RAMP]).astype(np.float32))
@@ -512,7 +604,16 @@ def test_a_window_outside_the_raster_says_its_size(tmp_path, suffix, window):
 
 
 @pytest.mark.parametrize(
-    "window", [(0, 2, 0, 2), ((0, 2),), "all", ((0, None), (0, 2)), Window(0.5, 0, 2, 2), 7]
+    "window",
+    [
+        (0, 2, 0, 2),
+        ((0, 2),),
+        "all",
+        ((0, None), (0, 2)),
+        Window(0.5, 0, 2, 2),
+        ((0, float("inf")), (0, 2)),
+        7,
+    ],
 )
 def test_a_window_of_another_form_is_refused(tmp_path, window):
     path = write_raster(tmp_path / "a.tif", RAMP.astype(np.float32))
@@ -570,11 +671,7 @@ def test_a_truncated_npy_is_unreadable(tmp_path):
 
 def test_a_raster_larger_than_memory_asks_for_a_window(tmp_path):
     side = 1 << 24
-    vrt = tmp_path / "a.vrt"
-    vrt.write_text(
-        f'<VRTDataset rasterXSize="{side}" rasterYSize="{side}">'
-        '<VRTRasterBand dataType="Float32" band="1"/></VRTDataset>'
-    )
+    vrt = write_vrt(tmp_path / "a.vrt", "", side, side)
     with pytest.raises(MemoryError, match=r"need \d+\.\d GB .* with window=") as error:
         read_grid(vrt)
     assert one_line(error)
@@ -647,26 +744,30 @@ def good_files(tmp_path_factory):
     write_raster(folder / "a.png", heights.astype(np.uint16), driver="PNG", transform=None)
     square = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 9000.0)
     write_raster(folder / "a.asc", heights, driver="AAIGrid", transform=square)
-    return {path.suffix: path.read_bytes() for path in folder.glob("a.???")}
+    write_raster(folder / "tile.png", encode(heights, 0.1, -10000.0), driver="PNG", transform=None)
+    palette = {index: (1, 134, index, 255) for index in range(256)}
+    indices = (heights % 256).astype(np.uint8)
+    write_raster(folder / "palette.png", indices, driver="PNG", transform=None, colormap=palette)
+    return {path.name: path.read_bytes() for path in folder.glob("*.???")}
 
 
 @quiet
 @fuzz
 @given(data=st.data())
 def test_a_damaged_file_is_a_grid_or_one_line(tmp_path, good_files, data):
-    suffix = data.draw(st.sampled_from([".npy", ".tif", ".png", ".asc"]))
-    content = bytearray(good_files[suffix])
+    name = data.draw(st.sampled_from(["a.npy", "a.tif", "a.png", "tile.png", "a.asc"]))
+    content = bytearray(good_files[name])
     for _ in range(data.draw(st.integers(0, 6))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path / f"a{suffix}"
+    path = tmp_path / name
     path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
     read_or_refuse(path)
 
 
 @quiet
-@pytest.mark.parametrize("suffix", [".npy", ".tif", ".png"])
-def test_no_truncated_file_is_a_grid(tmp_path, good_files, suffix):
-    path, content = tmp_path / f"a{suffix}", good_files[suffix]
+@pytest.mark.parametrize("name", ["a.npy", "a.tif", "a.png", "tile.png", "palette.png"])
+def test_no_truncated_file_is_a_grid(tmp_path, good_files, name):
+    path, content = tmp_path / name, good_files[name]
     path.write_bytes(content)
     assert read_or_refuse(path)
     # A PNG holds its heights without the 12 bytes that end it.

@@ -38,9 +38,9 @@ _CHUNK_SAMPLES = 1 << 18
 _GDAL_OPTIONS = {
     # Two cores read a compressed GeoTIFF 1.7 times as fast as one.
     "GDAL_NUM_THREADS": "ALL_CPUS",
-    # Without these GDAL fills the missing end of a cut PNG, JPEG or raw file with whatever it has.
+    # Without these GDAL fills the missing end of a cut PNG with stale memory, and that of a raw
+    # file with zeros.
     "GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO",
-    "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",
     "RAW_CHECK_FILE_SIZE": "YES",
 }
 
@@ -178,18 +178,11 @@ def _opened(name: str) -> Iterator[Any]:
     """Open a raster without a word on stderr, and raise every failure of GDAL as an OSError."""
     import rasterio
     from rasterio._err import CPLE_BaseError
-    from rasterio.errors import (
-        CRSError,
-        NodataShadowWarning,
-        NotGeoreferencedWarning,
-        RasterioError,
-        RasterioIOError,
-    )
+    from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError, RasterioIOError
 
     try:
         with warnings.catch_warnings(), rasterio.Env(**_GDAL_OPTIONS):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            warnings.simplefilter("ignore", NodataShadowWarning)
             # A GeoTIFF takes its threads when opened. Those that other drivers (JPEG 2000) would
             # start later print their errors on stderr.
             with (
@@ -327,9 +320,9 @@ def _hidden(dataset: Any, part: Part, band: int) -> NDArray[np.bool_] | None:  #
     """
     from rasterio.enums import ColorInterp, MaskFlags
 
-    flags = set(dataset.mask_flag_enums[band - 1])
+    flags = dataset.mask_flag_enums[band - 1]
     hidden = []
-    if not flags or (MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags):
+    if not flags or MaskFlags.per_dataset in flags:
         hidden.append(dataset.read_masks(band, window=part) == 0)
     for other, meaning in enumerate(dataset.colorinterp, start=1):
         if meaning == ColorInterp.alpha and other != band:
@@ -343,10 +336,8 @@ def _make_void(values: Heights, nodata: float | None, hidden: NDArray[np.bool_] 
         np.copyto(values, np.nan, where=hidden)
     if nodata is None or np.isnan(nodata):
         return
-    with np.errstate(over="ignore"):
-        nodata_as_stored = values.dtype.type(nodata)
     for rows in _row_chunks(values.shape):
-        np.copyto(values[rows], np.nan, where=values[rows] == nodata_as_stored)
+        np.copyto(values[rows], np.nan, where=values[rows] == nodata)
 
 
 def _scaled(values: Heights, scale: float, offset: float) -> Heights:
