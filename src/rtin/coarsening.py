@@ -187,9 +187,8 @@ def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _
     from rtin._kernels.coarsening import split_worst_first
 
     kept = _least_mesh(grid, (np.inf, None), kept_always)
-    n_vertices, n_triangles = (
-        int(counts.sum()) for counts in _counts(grid, kept, _used(grid, kept))
-    )
+    counts = _counts(grid, kept, _mark_used(grid, kept))
+    n_vertices, n_triangles = (int(count.sum()) for count in counts)
     least = n_vertices if name == "max_vertices" else n_triangles
     if budget < least:
         raise ValueError(
@@ -252,8 +251,8 @@ def _close(grid: Grid, kept: _Kept) -> None:
 def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
     from rtin._kernels.coarsening import fill_triangles, fill_vertices
 
-    used = _used(grid, kept)
-    vertex_counts, triangle_counts = _counts(grid, kept, used)
+    in_mesh = _mark_used(grid, kept)
+    vertex_counts, triangle_counts = _counts(grid, kept, in_mesh)
     first_vertex, n_vertices = _offsets(vertex_counts)
     first_triangle, n_triangles = _offsets(triangle_counts)
     if n_triangles == 0:
@@ -262,46 +261,38 @@ def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
         )
     vertices = np.empty((n_vertices, 3), np.float64)
     triangles = np.empty((n_triangles, 3), np.int32)
-    numbers = np.empty(grid.shape, np.int32)
+    words = _words(kept)
+    first_in_word = np.empty(words.shape, np.int32)
     transform = np.array(tuple(grid.transform)[:6], np.float64)
     flip = grid.transform.determinant > 0.0
+    shared = (grid.heights, kept, words, in_mesh)
     bands = _parallel.row_bands(grid.shape[0])
-    shared = (grid.heights, used, _words(used), transform)
-    _parallel.run(
-        fill_vertices, [(*shared, *band, first_vertex, numbers, vertices) for band in bands]
-    )
-    shared = (grid.heights, kept, used, _words(used))
-    _parallel.run(
-        fill_triangles,
-        [(*shared, *band, first_triangle, numbers, flip, triangles) for band in bands],
-    )
+    outputs: tuple[Any, ...] = (first_vertex, first_in_word, vertices)
+    _parallel.run(fill_vertices, [(*shared, transform, *band, *outputs) for band in bands])
+    outputs = (first_triangle, first_in_word, flip, triangles)
+    _parallel.run(fill_triangles, [(*shared, *band, *outputs) for band in bands])
     return TriangleMesh(vertices, triangles, grid.crs)
 
 
-def _used(grid: Grid, kept: _Kept) -> _Kept:
-    """Return which vertices have a triangle: all kept ones where there is no void."""
-    from rtin._kernels.coarsening import mark_used
+def _mark_used(grid: Grid, kept: _Kept) -> int:
+    """Mark which kept vertices have a triangle; return the byte that says so."""
+    from rtin._kernels.coarsening import KEPT, USED, mark_used
 
     if _is_complete(grid):
-        return kept
-    used = _zeros(grid.shape)
-    mark_used(grid.heights, kept, _words(kept), used)
-    return used
+        return KEPT
+    mark_used(grid.heights, kept, _words(kept))
+    return USED
 
 
-def _counts(grid: Grid, kept: _Kept, used: _Kept) -> tuple[_Items, _Items]:
+def _counts(grid: Grid, kept: _Kept, in_mesh: int) -> tuple[_Items, _Items]:
     """Return the number of vertices in each row, and of triangles whose apex lies there."""
     from rtin._kernels.coarsening import count_mesh
 
     rows = grid.shape[0]
     n_vertices, n_triangles = np.empty(rows, np.int64), np.empty(rows, np.int64)
-    _parallel.run(
-        count_mesh,
-        [
-            (grid.heights, kept, used, _words(used), *band, n_vertices, n_triangles)
-            for band in _parallel.row_bands(rows)
-        ],
-    )
+    shared = (grid.heights, kept, _words(kept), in_mesh)
+    bands = _parallel.row_bands(rows)
+    _parallel.run(count_mesh, [(*shared, *band, n_vertices, n_triangles) for band in bands])
     return n_vertices, n_triangles
 
 
@@ -323,7 +314,8 @@ def _coarsest(grid: Grid) -> _Kept:
     """Return the closed set of the two root triangles: the lattice's corners."""
     size = lattice_size(grid.shape)
     try:
-        kept = _zeros((size + 1, size + 1))
+        # Rows are padded so that they can be read by eights as well.
+        kept = np.zeros((size + 1, 8 * (size // 8 + 2)), np.uint8)
     except (MemoryError, ValueError):
         raise MemoryError(
             f"a grid of {grid.shape[0]} × {grid.shape[1]} samples needs a lattice of "
@@ -333,13 +325,8 @@ def _coarsest(grid: Grid) -> _Kept:
     return kept
 
 
-def _zeros(shape: tuple[int, int]) -> _Kept:
-    """Return a byte for each vertex, rows padded so that they can be read by eights as well."""
-    rows, cols = shape
-    return np.zeros((rows, 8 * ((cols + 7) // 8 + 1)), np.uint8)
-
-
 def _words(kept: _Kept) -> NDArray[np.uint64]:
+    """Return the same bytes, eight at a time."""
     return kept.view(np.uint64)
 
 

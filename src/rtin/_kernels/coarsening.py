@@ -1,6 +1,6 @@
 """Arithmetic of the coarsening: which samples fit, what a kept vertex entails, the mesh of it.
 
-``kept`` holds a byte for each sample of the lattice, 1 where the vertex is kept. Two rules say
+``kept`` holds a byte for each sample of the lattice, not 0 where the vertex is kept. Two rules say
 which vertices the least mesh keeps, and no others:
 
     closure     a kept vertex keeps both its apexes
@@ -28,6 +28,7 @@ from rtin._kernels.lattice import (
     unpacked,
 )
 
+KEPT, USED = 1, 3
 FIRST_BYTE = np.frombuffer(b"\xff" + bytes(7), np.uint64)[0]
 
 # --- which triangles fit ------------------------------------------------------------------------
@@ -417,8 +418,8 @@ def is_present(heights, kept, row, col, spacing, direction):
 
 
 @jit
-def mark_used(heights, kept, words, used):
-    """Set ``used`` at every vertex that a triangle of the mesh has."""
+def mark_used(heights, kept, words):
+    """Mark every vertex that a triangle of the mesh has: next to voids, not all have one."""
     n_rows, n_cols = heights.shape
     for row in range(n_rows):
         for word in range((n_cols + 7) // 8):
@@ -431,12 +432,15 @@ def mark_used(heights, kept, words, used):
                 for direction in range(4):
                     if is_present(heights, kept, row, col, spacing, direction):
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
-                        used[row, col] = used[a_row, a_col] = used[b_row, b_col] = 1
+                        kept[row, col] = kept[a_row, a_col] = kept[b_row, b_col] = USED
 
 
 @jit
-def count_mesh(heights, kept, used, words, first_row, end_row, n_vertices, n_triangles):
-    """Write how many vertices each row has, and how many triangles have their apex there."""
+def count_mesh(heights, kept, words, in_mesh, first_row, end_row, n_vertices, n_triangles):
+    """Write how many vertices each row has, and how many triangles have their apex there.
+
+    ``in_mesh`` is the byte of the vertices that count: ``KEPT`` where there is no void.
+    """
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         n_vertices[row] = n_triangles[row] = 0
@@ -444,7 +448,7 @@ def count_mesh(heights, kept, used, words, first_row, end_row, n_vertices, n_tri
             if words[row, word] == 0:
                 continue
             for col in range(8 * word, min(8 * word + 8, n_cols)):
-                if used[row, col] == 0:
+                if kept[row, col] != in_mesh:
                     continue
                 n_vertices[row] += 1
                 spacing = spacing_of(row, col)
@@ -454,18 +458,21 @@ def count_mesh(heights, kept, used, words, first_row, end_row, n_vertices, n_tri
 
 @jit
 def fill_vertices(
-    heights, used, words, transform, first_row, end_row, first_vertex, numbers, vertices
+    heights, kept, words, in_mesh, transform, first_row, end_row, first_vertex, in_word, vertices
 ):
-    """Number the vertices of some rows in row-major order and write their x, y and z."""
+    """Write x, y and z of the vertices of some rows, in row-major order.
+
+    ``in_word`` gets the number of the first vertex of each eight columns, for ``vertex_number``.
+    """
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         number = first_vertex[row]
         for word in range((n_cols + 7) // 8):
             if words[row, word] == 0:
                 continue
+            in_word[row, word] = number
             for col in range(8 * word, min(8 * word + 8, n_cols)):
-                if used[row, col] != 0:
-                    numbers[row, col] = number
+                if kept[row, col] == in_mesh:
                     vertices[number, 0] = transform[0] * col + transform[1] * row + transform[2]
                     vertices[number, 1] = transform[3] * col + transform[4] * row + transform[5]
                     vertices[number, 2] = heights[row, col]
@@ -473,8 +480,17 @@ def fill_vertices(
 
 
 @jit
+def vertex_number(kept, in_mesh, in_word, row, col):
+    """Number of a vertex in the mesh, for an eighth of the memory of one for each sample."""
+    number = in_word[row, col >> 3]
+    for before in range(col & ~7, col):
+        number += kept[row, before] == in_mesh
+    return number
+
+
+@jit
 def fill_triangles(
-    heights, kept, used, words, first_row, end_row, first_triangle, numbers, flip, triangles
+    heights, kept, words, in_mesh, first_row, end_row, first_triangle, in_word, flip, triangles
 ):
     """Write the triangles whose apex lies in some rows: hypotenuse first, apex last."""
     n_cols = heights.shape[1]
@@ -484,14 +500,15 @@ def fill_triangles(
             if words[row, word] == 0:
                 continue
             for col in range(8 * word, min(8 * word + 8, n_cols)):
-                if used[row, col] == 0:
+                if kept[row, col] != in_mesh:
                     continue
                 spacing = spacing_of(row, col)
                 for direction in range(4):
                     if is_present(heights, kept, row, col, spacing, direction):
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
-                        a, b = numbers[a_row, a_col], numbers[b_row, b_col]
+                        a = vertex_number(kept, in_mesh, in_word, a_row, a_col)
+                        b = vertex_number(kept, in_mesh, in_word, b_row, b_col)
                         triangles[number, 0] = b if flip else a
                         triangles[number, 1] = a if flip else b
-                        triangles[number, 2] = numbers[row, col]
+                        triangles[number, 2] = vertex_number(kept, in_mesh, in_word, row, col)
                         number += 1
