@@ -86,33 +86,31 @@ def test_big_meshes_have_no_filled_triangles(monkeypatch):
     assert n_filled(bumpy()) == 0
 
 
-def ridge():
-    """A ridge from south to north: the west slope faces the light, the east slope does not."""
-    return -np.abs(np.arange(21.0) - 10.0) * np.ones((15, 1))
-
-
-def brightness_west_and_east(ax, tmp_path):
+def brightness_by_quarter(ax, tmp_path):
+    """Mean brightness west, east, north and south of the middle."""
     ax.set_axis_off()
     ax.set_position([0, 0, 1, 1])
-    ax.figure.savefig(tmp_path / "ridge.png")
-    picture = imread(tmp_path / "ridge.png")[:, :, :3].mean(axis=2)
-    middle = picture.shape[1] // 2
-    rows = slice(picture.shape[0] // 3, 2 * picture.shape[0] // 3)
-    return picture[rows, middle - 60 : middle - 20].mean(), picture[
-        rows, middle + 20 : middle + 60
-    ].mean()
+    ax.figure.set_size_inches(5, 5)
+    ax.figure.savefig(tmp_path / "ridge.png", dpi=40)
+    picture = imread(tmp_path / "ridge.png")[20:180, 20:180, :3].mean(axis=2)
+    return picture[:, :70].mean(), picture[:, 90:].mean(), picture[:70].mean(), picture[90:].mean()
 
 
 @pytest.mark.parametrize("from_grid", [True, False])
 @pytest.mark.parametrize("row_0_is_north", [True, False])
-def test_the_light_comes_from_the_west(from_grid, row_0_is_north, tmp_path):
-    heights = ridge()
-    mesh = bumpy(*heights.shape, heights=heights, step=1.0, north=14.0)
-    transform = (1, 0, 0, 0, -1, 14) if row_0_is_north else (1, 0, 0, 0, 1, 0)
+@pytest.mark.parametrize("ridge_runs", ["north", "east"])
+def test_the_light_comes_from_the_north_west(from_grid, row_0_is_north, ridge_runs, tmp_path):
+    across = -np.abs(np.arange(21.0) - 10.0)
+    heights = np.tile(across, (21, 1)) if ridge_runs == "north" else np.tile(across, (21, 1)).T
+    mesh = bumpy(21, 21, heights=heights, step=1.0, north=20.0)
+    transform = (1, 0, 0, 0, -1, 20) if row_0_is_north else (1, 0, 0, 0, 1, 0)
     grid = Grid(heights, transform) if from_grid else None
     ax = plot(mesh, grid=grid, ax=axes(), line_width=0)
-    west, east = brightness_west_and_east(ax, tmp_path)
-    assert west > east + 0.1
+    west, east, north, south = brightness_by_quarter(ax, tmp_path)
+    if ridge_runs == "north":
+        assert west > east + 0.1
+    else:
+        assert north > south + 0.1
 
 
 @pytest.mark.parametrize("row_0_is_north", [True, False])

@@ -84,13 +84,15 @@ def test_pulls_each_part_from_a_pinch_into_itself():
     mesh = touching_at_a_point()
     pinch = 3 * 9 + 4
     solid = close(mesh, 10.0)
-    copies = [solid.vertices[pinch], solid.vertices[mesh.n_vertices]]
-    moves = (np.array(copies) - mesh.vertices[pinch]) / 30.0
-    # Half of either square's cell is cut off by the diagonal, 30 / √2 from the pinch.
-    reach = 0.01 / np.sqrt(2)
-    diagonal = np.array([-1.0, 1.0, 0.0]) / np.sqrt(2)
-    expected = sorted([(reach * diagonal).tolist(), (-reach * diagonal).tolist()])
-    np.testing.assert_allclose(sorted(moves.tolist()), expected, atol=1e-12)
+    terrain = solid.triangles[: mesh.n_triangles]
+    for copy in (pinch, mesh.n_vertices):
+        (own,) = terrain[(terrain == copy).any(axis=1)]
+        inwards = solid.vertices[own[own != copy]].mean(axis=0) - mesh.vertices[pinch]
+        move = solid.vertices[copy] - mesh.vertices[pinch]
+        # The diagonal of a cell of 30 m is 30 / √2 from the cell's corner.
+        inwards = inwards[:2] / np.linalg.norm(inwards[:2])
+        np.testing.assert_allclose(move[:2], 0.01 * 30.0 / np.sqrt(2.0) * inwards)
+        assert move[2] == 0.0
     others = np.delete(np.arange(mesh.n_vertices), pinch)
     np.testing.assert_array_equal(solid.vertices[others], mesh.vertices[others])
 

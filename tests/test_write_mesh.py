@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 import pyvista
 import trimesh
@@ -249,6 +250,13 @@ def test_a_crs_that_no_authority_lists_is_kept(suffix, tmp_path):
     assert round_trip(mesh, tmp_path / f"mesh{suffix}").crs == mesh.crs
 
 
+def test_a_crs_that_only_claims_a_name_is_kept_in_full(tmp_path):
+    claims = pyproj.CRS("EPSG:32616").to_wkt().replace("500000", "400000")
+    back = round_trip(bumpy(crs=claims), tmp_path / "mesh.ply")
+    assert back.crs == pyproj.CRS(claims)
+    assert back.crs != pyproj.CRS("EPSG:32616")
+
+
 # Placement
 
 
@@ -310,6 +318,7 @@ def test_a_foreign_glb_is_turned_z_up_and_put_together(tmp_path):
     shifted = mesh.vertices + np.array([1000.0, -1000.0, 1000.0])
     parts = sorted(np.split(back.vertices, 2), key=lambda part: part[0, 0])
     np.testing.assert_allclose(parts, [mesh.vertices, shifted], atol=1e-4)
+    np.testing.assert_array_equal(np.unique(back.triangles), np.arange(2 * mesh.n_vertices))
 
 
 def test_a_glb_that_another_program_changed_keeps_its_place_but_not_our_order(tmp_path):
@@ -466,6 +475,15 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "any").touch()
     modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "any")]
     assert modes[0] == modes[1]
+
+
+def test_who_reads_the_old_file_reads_on_undisturbed(tmp_path):
+    write_bytes(tmp_path / "mesh", b"old file")
+    with (tmp_path / "mesh").open("rb", buffering=0) as reader:
+        assert reader.read(4) == b"old "
+        write_bytes(tmp_path / "mesh", b"new", b"er one")
+        assert reader.read() == b"file"
+    assert (tmp_path / "mesh").read_bytes() == b"newer one"
 
 
 def test_a_link_stays_a_link(tmp_path):
