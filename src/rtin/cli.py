@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -45,9 +45,10 @@ _Window = Annotated[
         show_default=False,
     ),
 ]
+_EncodingName = Literal["terrain-rgb", "terrarium", "none"]
 _Encoding = Annotated[
-    str | None,
-    typer.Option(help="How an RGB tile holds heights: terrain-rgb or terrarium.", metavar="NAME"),
+    _EncodingName | None,
+    typer.Option(help="How the colours of a tile hold heights; none: they are heights."),
 ]
 _MaxError = Annotated[
     float | None,
@@ -124,9 +125,9 @@ def coarsen(
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():
-        from rtin.io.meshes import placement_of, require_writable, write_mesh
+        from rtin.io.meshes import placement_of, write_mesh
 
-        require_writable(out)
+        _require_writable(out)
         started = time.perf_counter()
         grid = _read_grid(dem, band, window, encoding)
         mesh, error = _coarsen_and_measure(grid, asked)
@@ -141,7 +142,7 @@ def coarsen(
             "bytes": out.stat().st_size,
             "seconds": round(time.perf_counter() - started, 3),
         }
-        note = placement_of(mesh, z_scale=z_scale, keep_degrees=keep_degrees).note
+        note = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees).note
         if note:
             summary["note"] = note
         _report(summary, as_json)
@@ -158,10 +159,7 @@ def info(
     with _one_line_errors():
         from rtin.io.meshes import is_mesh_path
 
-        if is_mesh_path(path):
-            summary = _mesh_info(path)
-        else:
-            summary = _grid_info(path, band, encoding)
+        summary = _mesh_info(path) if is_mesh_path(path) else _grid_info(path, band, encoding)
         _report(summary, as_json)
 
 
@@ -191,7 +189,7 @@ def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the files made.")] = Path("demo"),
     max_error: Annotated[
         float, typer.Option(metavar="METRES", help="Tolerance to coarsen to.")
-    ] = 25.0,
+    ] = 50.0,
     as_json: _Json = False,
 ) -> None:
     """Coarsen a real DEM, the Jacksboro fault, into files to look at."""
@@ -226,7 +224,10 @@ def demo(
 
 
 def _read_grid(
-    dem: Path, band: int, window: tuple[int, int, int, int] | None, encoding: str | None
+    dem: Path,
+    band: int,
+    window: tuple[int, int, int, int] | None,
+    encoding: _EncodingName | None,
 ) -> Grid:
     from rtin.io.grids import read_grid
 
@@ -250,7 +251,7 @@ def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMes
         return mesh, vertical_error(mesh, grid)
 
 
-def _grid_info(path: Path, band: int, encoding: str | None) -> dict[str, Any]:
+def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[str, Any]:
     import numpy as np
 
     from rtin.io.grids import suspicious_values
@@ -326,6 +327,16 @@ def _flag(name: str) -> str:
 def _require_positive(flag: str, value: float | None) -> None:
     if value is not None and not 0.0 < value < float("inf"):
         raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
+
+
+def _require_writable(out: Path) -> None:
+    """Refuse an output that can't be written before any work is done."""
+    from rtin.io.meshes import require_writable
+
+    try:
+        require_writable(out)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 # --- messages -----------------------------------------------------------------------------------

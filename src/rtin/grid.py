@@ -10,6 +10,8 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
+from rtin._crs import as_crs
+
 if TYPE_CHECKING:
     import pyproj
 
@@ -196,19 +198,6 @@ def _as_transform(value: Any) -> Affine:  # noqa: ANN401
             f"got {tuple(transform)[:6]}"
         )
     return transform
-
-
-def as_crs(value: Any) -> pyproj.CRS | None:  # noqa: ANN401
-    """Return ``value`` as a pyproj CRS; None stays None. Raises ValueError for an unknown one."""
-    if value is None:
-        return None
-    import pyproj
-
-    try:
-        return pyproj.CRS.from_user_input(value)
-    except pyproj.exceptions.CRSError as error:
-        reason = str(error).splitlines()[0]
-        raise ValueError(f"crs must be one that pyproj knows, got {value!r}: {reason}") from None
 
 
 def _origin_and_step(data: Any, dim: str, default_step: float) -> tuple[float, float]:  # noqa: ANN401

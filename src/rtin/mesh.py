@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtin.grid import as_crs
+from rtin._crs import as_crs
 
 if TYPE_CHECKING:
     import pyproj

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.grid import as_crs
+from rtin._crs import as_crs
 from rtin.io import solid
 from rtin.mesh import TriangleMesh
 

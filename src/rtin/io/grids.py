@@ -16,7 +16,8 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from rtin.grid import Grid, as_crs
+from rtin._crs import as_crs
+from rtin.grid import Grid
 
 if TYPE_CHECKING:
     import pyproj

@@ -1,0 +1,213 @@
+"""The command line, as its users meet it."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import rtin
+from rtin import cli, samples
+
+trimesh = pytest.importorskip("trimesh")
+
+
+@pytest.fixture
+def dem(tmp_path):
+    path = tmp_path / "dem.npy"
+    np.save(path, samples.jacksboro_fault().heights[:129, :129])
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def test_coarsen_writes_a_mesh_and_reports_the_error_it_really_has(dem, tmp_path):
+    out = tmp_path / "out.ply"
+    result = run("coarsen", dem, out, "--max-error", 30, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    grid = rtin.read_grid(dem)
+    mesh = rtin.read_mesh(out)
+    error = rtin.vertical_error(mesh, grid)
+    assert summary["achieved"] == {"max_error": error.max, "rms": error.rms, "mean": error.mean}
+    assert summary["asked"] == {"max_error": 30}
+    assert (summary["rows"], summary["cols"], summary["samples"]) == (129, 129, 129 * 129)
+    assert (summary["vertices"], summary["triangles"]) == (mesh.n_vertices, mesh.n_triangles)
+    assert summary["bytes"] == out.stat().st_size
+    assert 0 < error.max <= 30
+
+
+@pytest.mark.parametrize("option", ["--max-vertices", "--max-triangles"])
+def test_coarsen_keeps_a_budget(dem, tmp_path, option):
+    result = run("coarsen", dem, tmp_path / "out.glb", option, 700, "--json")
+    summary = json.loads(result.stdout)
+    assert 300 < summary[option[6:]] <= 700
+
+
+def test_coarsen_takes_the_threshold_of_the_paper(dem, tmp_path):
+    result = run("coarsen", dem, tmp_path / "out.glb", "--threshold", 30, "--json")
+    summary = json.loads(result.stdout)
+    expected = rtin.coarsen(rtin.read_grid(dem), threshold=30)
+    assert summary["vertices"] == expected.n_vertices
+
+
+def test_the_summary_without_json_is_for_people(dem, tmp_path):
+    result = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 30)
+    assert "16 641" in result.stdout
+    assert "max error 30" in result.stdout
+
+
+def test_a_base_makes_a_watertight_solid(dem, tmp_path):
+    out = tmp_path / "out.stl"
+    assert run("coarsen", dem, out, "--max-error", 30, "--base", 10).exit_code == 0
+    assert trimesh.load(out).is_watertight
+
+
+def test_a_window_cuts_rows_and_columns(dem, tmp_path):
+    out = tmp_path / "out.ply"
+    options = ("--max-error", 30, "--window", 0, 33, 64, 129, "--json")
+    summary = json.loads(run("coarsen", dem, out, *options).stdout)
+    assert (summary["rows"], summary["cols"]) == (33, 65)
+
+
+def test_scaling_degrees_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtin.io.grids.read_grid", lambda *_, **__: samples.topobathy())
+    result = run("coarsen", "dem.tif", tmp_path / "out.glb", "--max-error", 300)
+    assert "degrees to metres" in result.stdout
+    result = run("coarsen", "dem.tif", tmp_path / "out.glb", "--max-error", 300, "--keep-degrees")
+    assert "degrees to metres" not in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ([], "exactly one of --max-error"),
+        (["--max-error", "5", "--threshold", "5"], "got --max-error and --threshold"),
+        (["--max-error", "-5"], "zero or more, got -5"),
+        (["--max-error", "nan"], "zero or more, got nan"),
+        (["--max-error", "much"], "--max-error"),
+        (["--max-error", "5", "--z-scale", "0"], "--z-scale must be more than zero"),
+        (["--max-error", "5", "--base", "-1"], "--base must be more than zero"),
+        (["--max-error", "5", "--band", "0"], "--band"),
+        (["--max-error", "5", "--window", "0", "5"], "--window"),
+        (["--max-triangles", "1.5"], "--max-triangles"),
+        (["--max-error", "5", "--fast"], "--fast"),
+    ],
+)
+def test_bad_usage_exits_with_2_and_says_what_was_wanted(dem, tmp_path, options, wanted):
+    out = tmp_path / "out.glb"
+    result = run("coarsen", dem, out, *options)
+    assert result.exit_code == 2
+    assert wanted in result.stderr
+    assert result.stdout == ""
+    assert not out.exists()
+
+
+def test_an_unknown_extension_is_bad_usage(dem, tmp_path):
+    result = run("coarsen", dem, tmp_path / "out.xyz", "--max-error", 5)
+    assert result.exit_code == 2
+    assert ".glb" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "wanted"),
+    [
+        ("missing.tif", [], "missing.tif"),
+        ("text.tif", [], "text.tif"),
+        ("dem.npy", ["--band", "2"], "band"),
+        ("dem.npy", ["--window", "0", "500", "0", "500"], "129"),
+        ("dem.npy", ["--max-triangles", "1"], "max_triangles"),
+    ],
+)
+def test_a_failure_is_one_line_with_exit_code_1(dem, tmp_path, name, options, wanted):
+    (tmp_path / "text.tif").write_text("not a raster")
+    tolerance = [] if "--max-triangles" in options else ["--max-error", "5"]
+    result = run("coarsen", tmp_path / name, tmp_path / "out.glb", *tolerance, *options)
+    assert result.exit_code == 1
+    assert wanted in result.stderr
+    assert result.stderr.startswith("rtin: ")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out.glb").exists()
+
+
+def test_a_missing_folder_is_refused_before_the_work(dem, tmp_path):
+    result = run("coarsen", tmp_path / "missing.tif", tmp_path / "no" / "out.glb", "--max-error", 5)
+    assert result.exit_code == 1
+    assert "there is no folder" in result.stderr
+
+
+def test_info_describes_a_raster_and_points_out_a_suspicious_value(tmp_path):
+    heights = np.ones((5, 5), np.float32)
+    heights[1, :3] = -9999
+    np.save(tmp_path / "dem.npy", heights)
+    summary = json.loads(run("info", tmp_path / "dem.npy", "--json").stdout)
+    assert (summary["rows"], summary["cols"], summary["voids"]) == (5, 5, 0)
+    assert (summary["lowest"], summary["highest"]) == (-9999, 1)
+    assert any("-9999" in line for line in summary["suspicious"])
+
+
+def test_info_describes_a_mesh_and_its_complaints(tmp_path):
+    corners = [[0, 0, 0], [2, 0, 0], [2, 2, 5], [0, 2, 0], [1, 1, 9]]
+    hanging = rtin.TriangleMesh(corners, [[0, 2, 3], [0, 1, 4], [1, 2, 4]])
+    rtin.write_mesh(hanging, tmp_path / "mesh.ply")
+    summary = json.loads(run("info", tmp_path / "mesh.ply", "--json").stdout)
+    assert (summary["vertices"], summary["triangles"]) == (5, 3)
+    assert (summary["from"], summary["to"]) == ([0, 0, 0], [2, 2, 9])
+    assert any("hang" in line for line in summary["complaints"])
+
+
+def test_plot_draws_a_mesh_over_its_raster(dem, tmp_path):
+    run("coarsen", dem, tmp_path / "mesh.ply", "--max-error", 30)
+    result = run("plot", tmp_path / "mesh.ply", tmp_path / "mesh.png", "--dem", dem)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "mesh.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_demo_leaves_three_files_to_look_at(tmp_path):
+    result = run("demo", tmp_path / "demo", "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    files = sorted(path.name for path in (tmp_path / "demo").iterdir())
+    assert files == ["terrain.glb", "terrain.html", "terrain.png"]
+    assert summary["achieved"]["max_error"] <= summary["asked"]["max_error"]
+    assert summary["samples"] == 344 * 403
+
+
+def test_progress_is_told_on_stderr_and_only_when_it_takes_long(dem, tmp_path, monkeypatch):
+    quiet = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 30)
+    assert "coarsening" not in quiet.stderr
+    monkeypatch.setattr(cli, "_QUIET_SECONDS", 0.0)
+    told = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 1, "--json")
+    assert "coarsening 129 × 129 samples" in told.stderr
+    assert json.loads(told.stdout)
+
+
+def test_a_closed_pipe_leaves_no_traceback(dem):
+    command = f"{sys.executable} -m rtin info {dem} | true"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["coarsen", "--help"]])
+def test_help_and_version_do_not_wait_for_heavy_imports(arguments):
+    code = (
+        "import sys; from rtin.cli import app\n"
+        f"try: app({arguments!r})\n"
+        "except SystemExit as stop: assert not stop.code\n"
+        "heavy = {'numba', 'numpy', 'rasterio', 'trimesh', 'matplotlib', 'pyproj', 'rich'}\n"
+        "sys.exit(', '.join(heavy & set(sys.modules)) or 0)"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith(("Usage", "rtin "))
+
+
+def test_importing_the_package_does_not_import_numba():
+    code = "import rtin, sys; rtin.Grid; rtin.coarsen; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
