@@ -67,7 +67,8 @@ def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
     tasks = [(grid.heights, size, *band, errors) for band in _parallel.row_bands(grid.shape[0])]
     _parallel.run(fill_errors, tasks)
     if grid.has_voids:
-        errors[np.isnan(errors) & ~np.isnan(grid.heights)] = np.inf
+        errors[np.isnan(errors)] = np.inf
+        errors[np.isnan(grid.heights)] = np.nan
     return errors
 
 
