@@ -310,6 +310,7 @@ def ancestors(vertex, size):
     return set(direct).union(*(ancestors(parent, size) for parent in direct))
 
 
+@cache
 def conforming_meshes(size):
     """Every conforming mesh made of bisections, as a frozenset of triangles: all are tried."""
     north, south = ([t for t in trees(root) if is_conforming(t)] for root in roots(size))

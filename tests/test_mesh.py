@@ -1,0 +1,107 @@
+"""The mesh's door, and foreign triangles brought into order."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import naive
+import rtin
+import terrains
+from rtin import validity
+from rtin.mesh import TriangleMesh
+
+SQUARE = [[0, 0, 1], [2, 0, 2], [2, 1, 3], [0, 1, 4]]
+
+
+def test_takes_arrays_as_they_are():
+    vertices, triangles = np.array(SQUARE, float), np.array([[0, 2, 1]], np.int32)
+    mesh = TriangleMesh(vertices, triangles)
+    assert np.shares_memory(mesh.vertices, vertices)
+    assert np.shares_memory(mesh.triangles, triangles)
+    assert vertices.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices[0, 0] = 1.0
+
+
+def test_casts_to_its_own_types():
+    mesh = TriangleMesh(SQUARE, np.array([[0, 1, 2]], np.uint64))
+    assert (mesh.vertices.dtype, mesh.triangles.dtype) == (np.float64, np.int32)
+
+
+def test_counts_and_bounds():
+    mesh = TriangleMesh(SQUARE, [[0, 1, 2], [2, 3, 0]], "EPSG:2056")
+    assert (mesh.n_vertices, mesh.n_triangles) == (4, 2)
+    assert mesh.bounds.tolist() == [[0, 0, 1], [2, 1, 4]]
+    assert mesh.signed_areas().tolist() == [1, 1]
+    assert repr(mesh) == "<TriangleMesh 4 vertices, 2 triangles, EPSG:2056>"
+
+
+def test_areas_are_exact_far_from_the_origin():
+    vertices = np.array(SQUARE) + np.array([5e6, 5e6, 0])
+    assert TriangleMesh(vertices, [[0, 1, 2], [0, 2, 1]]).signed_areas().tolist() == [1, -1]
+
+
+def test_from_triangles_keeps_the_order_of_vertices_and_triangles():
+    mesh = TriangleMesh.from_triangles(SQUARE, [[3, 2, 0], [1, 2, 0]])
+    np.testing.assert_array_equal(mesh.vertices, SQUARE)
+    assert mesh.triangles.tolist() == [[0, 2, 3], [2, 0, 1]]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_from_triangles_puts_the_longest_edge_first_and_turns_counter_clockwise(seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.random((12, 3)) * [100, 100, 1e4]
+    triangles = np.array([rng.permutation(12)[:3] for _ in range(20)])
+    mesh = TriangleMesh.from_triangles(vertices, triangles)
+    assert (mesh.signed_areas() > 0).all()
+    assert (np.sort(mesh.triangles, axis=1) == np.sort(triangles, axis=1)).all()
+    for a, b, c in mesh.vertices[mesh.triangles, :2]:
+        longest = np.linalg.norm(b - a)
+        assert longest >= np.linalg.norm(c - b)
+        assert longest >= np.linalg.norm(a - c)
+
+
+def test_from_triangles_takes_the_first_of_equal_edges():
+    equilateral = [[0, 0, 0], [2, 0, 0], [1, 2, 0]]  # two equal edges, longer than the third
+    assert TriangleMesh.from_triangles(equilateral, [[0, 1, 2]]).triangles.tolist() == [[1, 2, 0]]
+    assert TriangleMesh.from_triangles(equilateral, [[2, 0, 1]]).triangles.tolist() == [[2, 0, 1]]
+
+
+@given(terrains.rasters(), terrains.tolerances, st.integers(0, 2**32 - 1))
+def test_from_triangles_restores_a_shuffled_coarsened_mesh(heights, tolerance, seed):
+    grid = rtin.Grid(heights)
+    mesh = rtin.coarsen(grid, max_error=tolerance)
+    rng = np.random.default_rng(seed)
+    shuffled = rng.permuted(mesh.triangles, axis=1)
+    restored = TriangleMesh.from_triangles(mesh.vertices, shuffled)
+    np.testing.assert_array_equal(restored.triangles, mesh.triangles)
+    assert naive.triangles_of(restored, grid) == naive.triangles_of(mesh, grid)
+    validity.check(restored)
+
+
+WRONG = {
+    "flat vertices": (([1.0, 2.0, 3.0], [[0, 0, 0]]), ValueError, r"\(n, 3\), got \(3,\)"),
+    "plane vertices": ((np.zeros((4, 2)), [[0, 1, 2]]), ValueError, r"\(n, 3\), got \(4, 2\)"),
+    "flat triangles": ((SQUARE, [0, 1, 2]), ValueError, r"\(m, 3\), got \(3,\)"),
+    "quads": ((SQUARE, [[0, 1, 2, 3]]), ValueError, r"\(m, 3\), got \(1, 4\)"),
+    "fractions": ((SQUARE, [[0.0, 1.0, 2.0]]), TypeError, "whole numbers, got .* float64"),
+    "booleans": ((SQUARE, [[True, False, True]]), TypeError, "whole numbers, got .* bool"),
+    "too high": ((SQUARE, [[0, 1, 4]]), ValueError, "vertices 0 to 3, got numbers from 0 to 4"),
+    "negative": ((SQUARE, [[0, 1, -1]]), ValueError, "vertices 0 to 3, got numbers from -1 to 1"),
+    "crs": ((SQUARE, [[0, 1, 2]], "EPSG:0"), ValueError, "crs must be one that pyproj knows"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_says_in_one_line_what_was_wanted_and_what_came(wrong):
+    arguments, error, message = WRONG[wrong]
+    for make in (TriangleMesh, TriangleMesh.from_triangles):
+        with pytest.raises(error, match=message) as raised:
+            make(*arguments)
+        assert "\n" not in str(raised.value)
+
+
+def test_may_be_empty():
+    mesh = TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int))
+    assert (mesh.n_vertices, mesh.n_triangles) == (0, 0)
