@@ -122,8 +122,8 @@ def triangle_fails_or_is_mixed(heights, max_error, tolerance, row, col, spacing,
         start, end = left + left_step * distance, right + right_step * distance + 1
         if sample_row >= n_rows or end > n_cols:
             faults += 1
-            end = n_cols if sample_row < n_rows else start
-        if valid == 0:
+            end = min(end, n_cols)
+        if valid == 0 and sample_row < n_rows:
             valid = valid_in_row(heights, sample_row, start, end)
         if faults == 0:
             value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
@@ -317,8 +317,8 @@ def keep_with_closure(kept, item, stack, added, n_added):
 def triangles_gained(row, col, n_rows, n_cols):
     """How many triangles more a newly kept vertex makes: one for each apex inside the raster."""
     p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
-    gained = 0 <= p_row < n_rows and 0 <= p_col < n_cols
-    return gained + (0 <= q_row < n_rows and 0 <= q_col < n_cols)
+    gained = int(0 <= p_row < n_rows and 0 <= p_col < n_cols)
+    return gained + int(0 <= q_row < n_rows and 0 <= q_col < n_cols)
 
 
 @jit
