@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -32,10 +34,11 @@ def _fallback_cache() -> str:
     """
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
     folder = Path(tempfile.gettempdir()) / f"rtin-kernels-{user}"
-    folder.mkdir(mode=0o700, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
     status = folder.lstat()
     own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-    if folder.is_dir() and not folder.is_symlink() and own and not status.st_mode & 0o022:
+    if stat.S_ISDIR(status.st_mode) and own and not status.st_mode & 0o022:
         return str(folder)
     return tempfile.mkdtemp(prefix="rtin-kernels-")
 
