@@ -1,0 +1,58 @@
+"""The kernels as plain Python: the same tests, with Numba told to compile nothing."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+CHOSEN = [
+    "test_lattice.py",
+    "test_coarsening.py::test_is_the_least_mesh_on_any_terrain",
+    "test_coarsening.py::test_is_the_least_mesh_for_a_map_of_tolerances",
+    "test_coarsening.py::test_threshold_is_the_papers_algorithm",
+    "test_coarsening.py::test_removable_is_the_papers_matrix",
+    "test_coarsening.py::test_levels_equal_separate_calls",
+    "test_coarsening.py::test_flat_terrain_needs_two_triangles_and_noise_all_of_them",
+    "test_budgets.py::test_is_the_finest_least_mesh_that_fits",
+    "test_criteria.py::test_eq_1_at_every_vertex",
+    "test_criteria.py::test_measures_a_coarsened_mesh",
+]
+# Notes every kernel that runs, so that one left out of the tests above is found.
+PROGRAM = """
+import inspect, pkgutil, sys
+from importlib import import_module
+import numba, pytest, rtin._kernels
+
+names = [f"rtin._kernels.{module.name}" for module in pkgutil.iter_modules(rtin._kernels.__path__)]
+names.remove("rtin._kernels._jit")
+kernels = {
+    function.__code__: f"{name}.{function.__name__}"
+    for name in names
+    for _, function in inspect.getmembers(import_module(name), inspect.isfunction)
+    if function.__module__ == name
+}
+assert numba.config.DISABLE_JIT and len(kernels) > 20
+
+def note(frame, event, argument):
+    if event == "call":
+        kernels.pop(frame.f_code, None)
+
+sys.setprofile(note)
+status = pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-n0", *sys.argv[1:]])
+sys.setprofile(None)
+print("kernels that never ran:", sorted(kernels.values()))
+sys.exit(status or bool(kernels))
+"""
+
+
+def test_every_kernel_gives_the_same_as_plain_python():
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *(str(TESTS / chosen) for chosen in CHOSEN)],
+        cwd=TESTS.parent,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "RTIN_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-5000:] + done.stderr[-2000:]
