@@ -304,6 +304,7 @@ def closed_sets(size):
     return sets
 
 
+@cache
 def ancestors(vertex, size):
     """The parents of a vertex, theirs, and so on: fewer for a parent than for its child."""
     direct = parents(vertex, size)

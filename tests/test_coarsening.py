@@ -108,10 +108,43 @@ def test_the_papers_steps_3_and_4_give_the_closure(size):
     places = list(np.ndindex(size + 1, size + 1))
     for share in (0.01, 0.05, 0.3):
         unmarked = {place for place in places if rng.random() < share}
-        kept, _ = naive.rtin_coarsening(unmarked, size)
-        closure = unmarked | naive.corners_of_lattice(size)
-        closure |= {p for vertex in unmarked for p in naive.ancestors(vertex, size)}
-        assert kept == closure
+        assert naive.rtin_coarsening(unmarked, size)[0] == closure(unmarked, size)
+
+
+def closure(places, size):
+    kept = places | naive.corners_of_lattice(size)
+    return kept.union(*(naive.ancestors(place, size) for place in places))
+
+
+def with_only(places, shape):
+    """Matrix C with everything marked for removal but some places."""
+    removable = np.ones(shape, bool)
+    removable[tuple(np.transpose(list(places)))] = False
+    return removable
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 8, 16])
+def test_every_vertex_keeps_its_ancestors_and_nothing_else(size):
+    grid = grid_of(np.zeros((size + 1, size + 1)))
+    for place in np.ndindex(grid.shape):
+        expected = closure({place}, size)
+        for options in (
+            {"removable": with_only([place], grid.shape)},
+            {"max_error": 0, "keep": ~with_only([place], grid.shape)},
+            {"threshold": 1, "keep": ~with_only([place], grid.shape)},
+        ):
+            assert vertex_set(rtin.coarsen(grid, **options), grid) == expected
+
+
+@pytest.mark.parametrize("size", [16, 32, 64])
+def test_some_vertices_keep_their_ancestors_and_nothing_else(size):
+    grid = grid_of(np.zeros((size + 1, size + 1)))
+    rng = np.random.default_rng(size)
+    for n_places in (2, 5, 20):
+        for _ in range(20):
+            places = {tuple(place) for place in rng.integers(0, size + 1, (n_places, 2)).tolist()}
+            mesh = rtin.coarsen(grid, removable=with_only(places, grid.shape))
+            assert vertex_set(mesh, grid) == closure(places, size)
 
 
 # --- against all meshes of a small lattice ------------------------------------------------------
@@ -378,12 +411,13 @@ def test_number_of_threads_changes_no_byte(monkeypatch, shape, holes):
 
 @given(terrains.rasters(largest=20), terrains.tolerances, st.sampled_from([2, 3, 5]))
 def test_bands_of_rows_change_no_byte(heights, tolerance, rows_in_a_band):
-    from rtin import _parallel
+    from rtin import _parallel, coarsening
 
     grid = grid_of(heights)
     whole = [rtin.coarsen(grid, **{name: tolerance}) for name in ("max_error", "threshold")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_parallel, "_FEWEST_ROWS", rows_in_a_band)
+        patch.setattr(coarsening, "_COARSE_PARTS", 1)
         cut = [rtin.coarsen(grid, **{name: tolerance}) for name in ("max_error", "threshold")]
     assert same_bytes(whole, cut)
 
@@ -498,6 +532,15 @@ def test_the_promise_holds_on_real_terrain(tolerance):
         error = rtin.vertical_error(rtin.coarsen(grid, max_error=tolerance), grid)
         assert error.max <= tolerance
         assert error.n_uncovered == 0
+
+
+@pytest.mark.parametrize("shape", [(33, 33), (20, 33), (9, 17)], ids=str)
+def test_voids_are_not_split(shape):
+    from rtin.coarsening import _least_mesh
+
+    grid = grid_of(terrains.pierced(terrains.waves(shape), terrains.pond(shape)))
+    kept = _least_mesh(grid, (2.0, None), np.empty(0, np.int64))
+    assert set_of(kept) == naive.least(grid.heights, 2.0)[0]
 
 
 # --- keep ---------------------------------------------------------------------------------------
@@ -681,6 +724,12 @@ def test_says_that_nothing_is_left_where_no_triangle_has_three_heights():
     for options in ({"max_error": 1}, {"threshold": 1}, {"removable": np.ones((5, 5), bool)}):
         with pytest.raises(ValueError, match="no triangle to keep"):
             rtin.coarsen(rtin.Grid(heights), **options)
+
+
+def test_says_how_large_a_lattice_would_have_been():
+    grid = rtin.Grid(np.zeros((2, 2**22 + 2), np.float32))
+    with pytest.raises(MemoryError, match=r"2 × 4194306 samples needs a lattice of \d+\.\d GiB"):
+        rtin.coarsen(grid, max_error=1)
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "two", "1.5"])
