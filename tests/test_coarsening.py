@@ -737,3 +737,9 @@ def test_wants_a_whole_number_of_threads(monkeypatch, value):
     monkeypatch.setenv("RTIN_NUM_THREADS", value)
     with pytest.raises(ValueError, match=f"RTIN_NUM_THREADS .* got '{value}'"):
         rtin.coarsen(GRID, max_error=1)
+
+
+def test_a_mesh_too_large_for_its_numbers_is_refused(monkeypatch):
+    monkeypatch.setattr("rtin.coarsening._MOST_NUMBERS", 10)
+    with pytest.raises(ValueError, match="more than 10; allow a larger error"):
+        rtin.coarsen(rtin.Grid(np.random.default_rng(0).random((9, 9))), max_error=0)

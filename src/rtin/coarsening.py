@@ -38,6 +38,7 @@ _Tolerance = tuple[float, NDArray[np.float64] | None]
 # are few, and where they must be split decides what work there is to share.
 _COARSE_PARTS = 32
 _UNLIMITED = np.iinfo(np.int64).max
+_MOST_NUMBERS = np.iinfo(np.int32).max
 
 
 def coarsen(
@@ -258,6 +259,11 @@ def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
     if n_triangles == 0:
         raise ValueError(
             "the grid has no triangle to keep: no three neighbouring samples of a cell have heights"
+        )
+    if max(n_vertices, n_triangles) > _MOST_NUMBERS:
+        raise ValueError(
+            f"the mesh would have {n_vertices} vertices and {n_triangles} triangles, more than "
+            f"{_MOST_NUMBERS}; allow a larger error, or coarsen windows of the raster"
         )
     vertices = np.empty((n_vertices, 3), np.float64)
     triangles = np.empty((n_triangles, 3), np.int32)
