@@ -1,8 +1,8 @@
-"""The kernels' integer geometry against triangles bisected by hand, and all meshes of a small one."""
+"""The kernels' integer geometry against triangles bisected by hand; all meshes of a lattice."""
 
-import naive
 import pytest
 
+import naive
 from rtin._kernels import lattice
 
 SIZES = [2, 4, 8, 16]

@@ -207,7 +207,7 @@ def _unused(mesh: _Examined) -> _Complaint | None:
 
 
 def _has_places(mesh: _Examined) -> NDArray[np.bool_]:
-    finite = np.isfinite(mesh.vertices[:, :2]).all(axis=1)
+    finite = np.asarray(np.isfinite(mesh.vertices[:, :2]).all(axis=1))
     return np.asarray(finite[mesh.triangles].all(axis=1))
 
 
@@ -228,7 +228,7 @@ def _crowded_edge(mesh: _Examined) -> _Complaint | None:
 def _folded_edge(mesh: _Examined) -> _Complaint | None:
     edges = mesh.edges
     pairs = edges.first[edges.counts == 2]
-    found = pairs[edges.sides[pairs] * edges.sides[pairs + 1] > 0]
+    found = pairs[np.flatnonzero(edges.sides[pairs] * edges.sides[pairs + 1] > 0)]
     if not found.size:
         return None
     a, b = edges.ends[found[0]]
