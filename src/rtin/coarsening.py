@@ -232,17 +232,18 @@ def _settle(grid: Grid, kept: _Kept, work: _Items, tolerance: _Tolerance) -> Non
 
 
 def _close(grid: Grid, kept: _Kept) -> None:
-    """Add parents until nothing changes: one pass from the finest level to the coarsest."""
+    """Add parents until nothing changes: one pass from the finest level to the coarsest.
+
+    Only inside the raster: what lies outside was closed when the outline was settled.
+    """
     from rtin._kernels.coarsening import close_level
 
-    size = len(kept) - 1
+    rows, cols = grid.shape
     spacing = 1
-    while spacing < size:
-        # Kept vertices outside the raster are midpoints of triangles that reach into it.
-        end_row, end_col = (min(size + 1, n + 4 * spacing) for n in grid.shape)
+    while spacing < lattice_size(grid.shape):
         shared = (kept, _words(kept), spacing)
-        bands = _parallel.row_bands((end_row + spacing - 1) // (2 * spacing))
-        _parallel.run(close_level, [(*shared, *band, end_col) for band in bands])
+        bands = _parallel.row_bands((rows + spacing - 1) // (2 * spacing))
+        _parallel.run(close_level, [(*shared, *band, cols) for band in bands])
         spacing *= 2
 
 

@@ -30,7 +30,7 @@ def _fallback_cache() -> str:
     """Return a folder of this user's own for compiled kernels, for when Numba finds none.
 
     Compiled code is loaded from there again, so a folder that anybody else could write to (or
-    made before us) is not used: a fresh one that lives as long as the process replaces it.
+    made before us) is not used: a fresh one, used by this process alone, takes its place.
     """
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
     folder = Path(tempfile.gettempdir()) / f"rtin-kernels-{user}"
@@ -48,7 +48,8 @@ def _cache_folder() -> str:
     if config.CACHE_DIR:
         return config.CACHE_DIR if _is_writable(Path(config.CACHE_DIR)) else _fallback_cache()
     in_tree = Path(__file__).parent / "__pycache__"
-    user_wide = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
+    # Path.home() would fail for a user without a home, as in some containers.
+    user_wide = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "numba")  # noqa: PTH111
     if _is_writable(in_tree) or _is_writable(user_wide):
         return ""
     return _fallback_cache()

@@ -21,7 +21,6 @@ def errors_along_row(here, spacing, errors):
     n_cols = here.size
     for col in range(1, n_cols - 1):
         errors[col] = error_between(here[col - 1], here[col], here[col + 1])
-    errors[n_cols - 1] = np.inf
     step = 2
     while step < spacing:
         for col in range(step, n_cols - step, 2 * step):
