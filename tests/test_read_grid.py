@@ -19,7 +19,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import CRSError, RasterioError
 from rasterio.windows import Window
 
-from rtin import Grid
+from rtin import Grid, _raster
 from rtin.io import grids
 from rtin.io.grids import read_grid, suspicious_values
 
@@ -237,7 +237,7 @@ def test_any_mixture_of_voids_reads_as_its_union(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("voids") / "a.tif"
     write_raster(path, stored, nodata=nodata, mask=shown, scale=scale)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grids, "_CHUNK_SAMPLES", 7)
+        patch.setattr(_raster, "CHUNK_SAMPLES", 7)
         if np.isnan(expected).all():
             with pytest.raises(ValueError, match="hold no value"):
                 read_grid(path)

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+import rasterio
 from affine import Affine
 
 import rtin
@@ -64,7 +65,6 @@ def test_nan_is_void(array):
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize(("dtype", "nodata"), [("int16", -32768), ("float32", -3.4e38)])
 def test_rioxarray_and_read_grid_agree(tmp_path, masked, dtype, nodata):
-    rasterio = pytest.importorskip("rasterio")
     rioxarray = pytest.importorskip("rioxarray")
     path = tmp_path / "a.tif"
     stored = HEIGHTS.astype(dtype)

@@ -11,14 +11,12 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin._crs import as_crs
+from rtin._raster import NORTH_UP, row_chunks
 
 if TYPE_CHECKING:
     import pyproj
 
 __all__ = ["Grid"]
-
-_CHUNK_SAMPLES = 1 << 18
-_NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -57,7 +55,7 @@ class Grid:
     def __init__(
         self,
         heights: ArrayLike,
-        transform: Affine | Sequence[float] = _NORTH_UP,
+        transform: Affine | Sequence[float] = NORTH_UP,
         crs: Any = None,  # noqa: ANN401
     ) -> None:
         checked = _as_heights(heights)
@@ -78,7 +76,7 @@ class Grid:
         """Samples that have a height."""
         if not self.has_voids:
             return self.heights.size
-        return int(sum(np.count_nonzero(chunk == chunk) for chunk in _row_chunks(self.heights)))
+        return _count_values(self.heights)
 
     @classmethod
     def from_xarray(cls, data: Any) -> Grid:  # noqa: ANN401  (xarray is an extra)
@@ -152,7 +150,8 @@ def _narrowest_exact_floats(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
 
 
 def _casts_exactly(array: NDArray[Any], dtype: type[np.floating[Any]]) -> bool:
-    for chunk in _row_chunks(array):
+    for rows in row_chunks(array.shape):
+        chunk = array[rows]
         with np.errstate(over="ignore", invalid="ignore"):
             back = chunk.astype(dtype).astype(array.dtype)
         same = back == chunk
@@ -163,28 +162,26 @@ def _casts_exactly(array: NDArray[Any], dtype: type[np.floating[Any]]) -> bool:
     return True
 
 
-def _row_chunks(array: NDArray[Any]) -> list[NDArray[Any]]:
-    step = max(1, _CHUNK_SAMPLES // array.shape[1])
-    return [array[start : start + step] for start in range(0, array.shape[0], step)]
-
-
 def _has_voids(heights: NDArray[np.floating[Any]]) -> bool:
     if np.isfinite(heights.min()) and np.isfinite(heights.max()):
         return False
-    n_valid = 0
-    for chunk_index, chunk in enumerate(chunks := _row_chunks(heights)):
-        infinite = np.isinf(chunk)
+    for rows in row_chunks(heights.shape):
+        infinite = np.isinf(heights[rows])
         if infinite.any():
             row, col = np.argwhere(infinite)[0]
-            row += chunk_index * chunks[0].shape[0]
             raise ValueError(
-                f"heights must be finite or NaN, got an infinite one at row {row}, column {col}; "
-                "set such samples to NaN to leave them out"
+                f"heights must be finite or NaN, got an infinite one at row {rows.start + row}, "
+                f"column {col}; set such samples to NaN to leave them out"
             )
-        n_valid += int(np.count_nonzero(chunk == chunk))
-    if n_valid == 0:
+    n_values = _count_values(heights)
+    if n_values == 0:
         raise ValueError("heights hold no value at all: every sample is NaN or masked")
-    return n_valid < heights.size
+    return n_values < heights.size
+
+
+def _count_values(heights: NDArray[np.floating[Any]]) -> int:
+    chunks = (heights[rows] for rows in row_chunks(heights.shape))
+    return sum(int(np.count_nonzero(chunk == chunk)) for chunk in chunks)
 
 
 def _as_transform(value: Any) -> Affine:  # noqa: ANN401

@@ -17,6 +17,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from rtin._crs import as_crs
+from rtin._raster import NORTH_UP, moved, row_chunks
 from rtin.grid import Grid
 
 if TYPE_CHECKING:
@@ -28,14 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = ["read_grid", "suspicious_values"]
 
-_NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 # Both codes are linear in the 24-bit number 65536 R + 256 G + B, so each is a scale and an offset.
 _SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1.0 / 256.0, -32768.0)}
 _LOWEST_ON_EARTH, _HIGHEST_ON_EARTH = -12000.0, 9000.0
 _FILL_VALUES = (-999, 9999, -9999, -10000, -32767, 32767, -32768, 65535, -99999, 99999)
 _LARGEST_HEIGHT = 1e9
 _LARGEST_EXACT_INTEGER = 2.0**53
-_CHUNK_SAMPLES = 1 << 18
 _GDAL_OPTIONS = {
     # Two cores read a compressed GeoTIFF 1.7 times as fast as one.
     "GDAL_NUM_THREADS": "ALL_CPUS",
@@ -158,7 +157,7 @@ def _read_npy(
     (row_start, row_stop), (col_start, col_stop) = part = _part(window, array.shape, name)
     _require_memory(part, array.dtype.itemsize + 8, name)
     heights = np.array(array[row_start:row_stop, col_start:col_stop], order="C")
-    return heights, _moved(_NORTH_UP, row_start, col_start), None
+    return heights, moved(NORTH_UP, row_start, col_start), None
 
 
 def _read_raster(
@@ -337,7 +336,7 @@ def _make_void(values: Heights, nodata: float | None, hidden: NDArray[np.bool_] 
         np.copyto(values, np.nan, where=hidden)
     if nodata is None or np.isnan(nodata):
         return
-    for rows in _row_chunks(values.shape):
+    for rows in row_chunks(values.shape):
         np.copyto(values[rows], np.nan, where=values[rows] == nodata)
 
 
@@ -347,14 +346,9 @@ def _scaled(values: Heights, scale: float, offset: float) -> Heights:
         return values
     heights = values if values.dtype == np.float32 else np.empty(values.shape, np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        for rows in _row_chunks(values.shape):
+        for rows in row_chunks(values.shape):
             heights[rows] = values[rows].astype(np.float64) * scale + offset
     return heights
-
-
-def _row_chunks(shape: tuple[int, ...]) -> Iterator[slice]:
-    step = max(1, _CHUNK_SAMPLES // shape[1])
-    return (slice(start, start + step) for start in range(0, shape[0], step))
 
 
 def _is_coloured(dataset: Any) -> bool:  # noqa: ANN401
@@ -445,19 +439,14 @@ def _plausible_encoding(codes: NDArray[np.float32], name: str) -> str:
 def _transform(dataset: Any, name: str, part: Part) -> Affine:  # noqa: ANN401
     (row_start, _), (col_start, _) = part
     if dataset.transform != Affine.identity():
-        return _moved(dataset.transform, row_start + 0.5, col_start + 0.5)
+        return moved(dataset.transform, row_start + 0.5, col_start + 0.5)
     if dataset.gcps[0]:
         warnings.warn(
             f"{name} is placed by ground control points, which are left out: x is the column and "
             "y minus the row; gdalwarp gives such a raster a transform",
             stacklevel=4,
         )
-    return _moved(_NORTH_UP, row_start, col_start)
-
-
-def _moved(transform: Affine, rows: float, cols: float) -> Affine:
-    a, b, x, d, e, y = transform[:6]
-    return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
+    return moved(NORTH_UP, row_start, col_start)
 
 
 def _crs(dataset: Any, name: str) -> pyproj.CRS | None:  # noqa: ANN401

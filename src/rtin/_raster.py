@@ -1,0 +1,25 @@
+"""What ``Grid`` and the readers of rasters share: rows in chunks and where samples lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from affine import Affine
+
+__all__ = ["NORTH_UP", "moved", "row_chunks"]
+
+CHUNK_SAMPLES = 1 << 18
+NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+
+
+def row_chunks(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Return slices of consecutive rows, a quarter of a million samples each, to save memory."""
+    step = max(1, CHUNK_SAMPLES // max(1, shape[1]))
+    return (slice(start, start + step) for start in range(0, shape[0], step))
+
+
+def moved(transform: Affine, rows: float, cols: float) -> Affine:
+    """Return the transform that puts its origin at this row and column of the given one."""
+    # Affine's own product is * before version 3 and @ since.
+    a, b, x, d, e, y = transform[:6]
+    return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
