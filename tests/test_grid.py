@@ -80,6 +80,17 @@ def test_a_mask_hides_what_would_be_refused():
     np.testing.assert_array_equal(rtin.Grid(heights).heights, [[1, np.nan], [3, 4]])
 
 
+@pytest.mark.parametrize(
+    ("dtype", "hidden"), [(np.int64, 2**63 - 1), (np.uint64, 2**64 - 1), (np.float64, 1e20)]
+)
+def test_masked_samples_do_not_decide_how_the_others_are_kept(dtype, hidden):
+    heights = np.ma.masked_equal(np.array([[1, hidden], [3, 4]], dtype), dtype(hidden))
+    grid = rtin.Grid(heights)
+    assert grid.heights.dtype == np.float32
+    np.testing.assert_array_equal(grid.heights, [[1, np.nan], [3, 4]])
+    assert heights.data[0, 1] == dtype(hidden)
+
+
 def test_an_empty_mask_makes_no_void():
     assert not rtin.Grid(np.ma.masked_equal(np.ones((2, 2)), 7)).has_voids
 

@@ -126,9 +126,12 @@ def _as_heights(values: ArrayLike) -> NDArray[np.floating[Any]]:
         )
     if array.dtype.kind not in "fiu":
         raise TypeError(f"heights must be real numbers, got an array of {array.dtype}")
-    heights = _narrowest_exact_floats(array)
-    if mask is not np.ma.nomask:
-        heights = np.where(mask, np.array(np.nan, heights.dtype), heights)
+    if mask is np.ma.nomask:
+        heights = _narrowest_exact_floats(array)
+    else:
+        # Whatever lies under the mask has no say in the type of the rest: zero fits them all.
+        heights = _narrowest_exact_floats(np.where(mask, array.dtype.type(0), array))
+        heights[mask] = np.nan
     return np.ascontiguousarray(heights).view()
 
 
