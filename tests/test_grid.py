@@ -1,5 +1,7 @@
 """The grid's door: what it takes, what it keeps, and what it says of everything else."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from affine import Affine
@@ -108,6 +110,17 @@ def test_takes_six_numbers_as_a_transform(kind):
 @pytest.mark.parametrize("crs", ["EPSG:2056", 2056])
 def test_takes_what_pyproj_takes_as_a_crs(crs):
     assert rtin.Grid(np.zeros((2, 2)), crs=crs).crs.to_epsg() == 2056
+
+
+def test_replace_gives_a_changed_and_checked_grid():
+    grid = rtin.Grid([[1, 2], [3, np.nan]], (2, 0, 5, 0, -3, 7), 4326)
+    placed = dataclasses.replace(grid, crs=2056)
+    assert (placed.crs.to_epsg(), placed.transform) == (2056, grid.transform)
+    assert placed.heights is not grid.heights
+    assert np.shares_memory(placed.heights, grid.heights)
+    assert not dataclasses.replace(grid, heights=np.zeros((2, 2))).has_voids
+    with pytest.raises(ValueError, match="no value at all"):
+        dataclasses.replace(grid, heights=np.full((2, 2), np.nan))
 
 
 def test_shows_what_matters():

@@ -1,5 +1,7 @@
 """The mesh's door, and foreign triangles brought into order."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,6 +29,15 @@ def test_takes_arrays_as_they_are():
 def test_casts_to_its_own_types():
     mesh = TriangleMesh(SQUARE, np.array([[0, 1, 2]], np.uint64))
     assert (mesh.vertices.dtype, mesh.triangles.dtype) == (np.float64, np.int32)
+
+
+def test_replace_gives_a_changed_and_checked_mesh():
+    mesh = TriangleMesh(SQUARE, [[0, 1, 2]], "EPSG:2056")
+    moved = dataclasses.replace(mesh, vertices=mesh.vertices + 1.0)
+    assert moved.bounds.tolist() == [[1, 1, 2], [3, 2, 5]]
+    assert (moved.crs, moved.triangles.tolist()) == (mesh.crs, [[0, 1, 2]])
+    with pytest.raises(ValueError, match="must name vertices 0 to 3"):
+        dataclasses.replace(mesh, triangles=[[0, 1, 4]])
 
 
 def test_counts_and_bounds():

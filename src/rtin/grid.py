@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,7 +50,7 @@ class Grid:
     heights: NDArray[np.floating[Any]]
     transform: Affine
     crs: pyproj.CRS | None
-    has_voids: bool
+    has_voids: bool = field(init=False)
 
     def __init__(
         self,
