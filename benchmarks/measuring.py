@@ -16,7 +16,7 @@ from rich.table import Table
 Heights = NDArray[np.float32]
 
 
-def fractal_terrain(rows: int, cols: int | None = None, roughness: float = 2.2) -> Heights:
+def fractal_terrain(rows: int, cols: int | None = None, roughness: float = 2.0) -> Heights:
     """Return 0 to 3000 m of terrain whose spectrum falls as frequency ** -roughness."""
     shape = (rows, cols or rows)
     noise = np.random.default_rng(2024).standard_normal(shape).astype(np.float32)
@@ -29,10 +29,12 @@ def fractal_terrain(rows: int, cols: int | None = None, roughness: float = 2.2) 
 
 @dataclass(frozen=True)
 class Duel:
-    """Seconds of two functions that took turns."""
+    """Seconds of two functions that took turns, and processor seconds over all threads."""
 
     ours: list[float]
     theirs: list[float]
+    ours_cpu: list[float]
+    theirs_cpu: list[float]
 
     @property
     def ratio(self) -> float:
@@ -44,6 +46,11 @@ class Duel:
         """The same for the quickest turn of each."""
         return min(self.theirs) / min(self.ours)
 
+    @property
+    def ratio_of_work(self) -> float:
+        """The same in processor time: what one core alone would show, whatever else runs."""
+        return min(self.theirs_cpu) / min(self.ours_cpu)
+
 
 def seconds(function: Callable[[], object]) -> float:
     start = time.perf_counter()
@@ -51,12 +58,19 @@ def seconds(function: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def seconds_and_cpu(function: Callable[[], object]) -> tuple[float, float]:
+    cpu = time.process_time()
+    wall = seconds(function)
+    return wall, time.process_time() - cpu
+
+
 def duel(ours: Callable[[], object], theirs: Callable[[], object], repeats: int) -> Duel:
     """Time both in turns, after one warm-up turn each."""
     ours()
     theirs()
-    turns = [(seconds(ours), seconds(theirs)) for _ in range(repeats)]
-    return Duel([turn[0] for turn in turns], [turn[1] for turn in turns])
+    turns = [seconds_and_cpu(ours) + seconds_and_cpu(theirs) for _ in range(repeats)]
+    our_wall, our_cpu, their_wall, their_cpu = (list(times) for times in zip(*turns, strict=True))
+    return Duel(our_wall, their_wall, our_cpu, their_cpu)
 
 
 def median_seconds(function: Callable[[], object], repeats: int) -> float:
