@@ -627,7 +627,7 @@ def test_a_window_of_another_form_is_refused(tmp_path, window):
     [
         (np.ones((1, 5), np.float32), ValueError, "at least 2 rows and 2 columns"),
         (np.full((3, 3), np.nan, np.float32), ValueError, "hold no value at all"),
-        (np.array([[0, 1], [np.inf, 0]], np.float32), ValueError, "infinite one at row 1"),
+        (np.array([[0, 1], [np.inf, 0]], np.float32), ValueError, "got inf at row 1"),
         (np.ones((3, 3), np.complex64), TypeError, "real numbers, band 1 holds complex64"),
     ],
 )

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid"]
 
+# Squares of heights up to this one, and sums of them, stay within float64. A NumPy scalar, so that
+# float32 heights are compared with it as float64.
+_LARGEST_HEIGHT = np.float64(1e100)
+
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Grid:
@@ -42,9 +46,9 @@ class Grid:
     TypeError
         If the heights are not real numbers.
     ValueError
-        If there are fewer than 2 × 2 samples, none of them has a height, a height is infinite, an
-        integer is too large for float64, or the transform is not six finite numbers that map the
-        lattice to a plane.
+        If there are fewer than 2 × 2 samples, none of them has a height, a height is infinite or
+        beyond 1e100 in magnitude, an integer is too large for float64, or the transform is not six
+        finite numbers that map the lattice to a plane.
     """
 
     heights: NDArray[np.floating[Any]]
@@ -166,15 +170,16 @@ def _casts_exactly(array: NDArray[Any], dtype: type[np.floating[Any]]) -> bool:
 
 
 def _has_voids(heights: NDArray[np.floating[Any]]) -> bool:
-    if np.isfinite(heights.min()) and np.isfinite(heights.max()):
+    if heights.min() >= -_LARGEST_HEIGHT and heights.max() <= _LARGEST_HEIGHT:
         return False
     for rows in row_chunks(heights.shape):
-        infinite = np.isinf(heights[rows])
-        if infinite.any():
-            row, col = np.argwhere(infinite)[0]
+        too_large = np.abs(heights[rows]) > _LARGEST_HEIGHT
+        if too_large.any():
+            row, col = np.argwhere(too_large)[0]
             raise ValueError(
-                f"heights must be finite or NaN, got an infinite one at row {rows.start + row}, "
-                f"column {col}; set such samples to NaN to leave them out"
+                f"heights must be NaN or at most {_LARGEST_HEIGHT:g} in magnitude, "
+                f"got {heights[rows][row, col]:g} at row {rows.start + row}, column {col}; "
+                "set such samples to NaN to leave them out"
             )
     n_values = _count_values(heights)
     if n_values == 0:
