@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -91,7 +92,7 @@ def read_grid(
         If the band does not exist, the window leaves the raster, the file holds several rasters,
         colours cannot be told to be heights, or ``Grid`` refuses the heights.
     TypeError
-        If the heights are not real numbers.
+        If the heights are not real numbers or the band is not a whole number.
     MemoryError
         If the part to read is larger than the available memory.
 
@@ -106,8 +107,10 @@ def read_grid(
         raise ValueError(
             f"encoding must be 'terrain-rgb', 'terrarium', 'none' or None, got {encoding!r}"
         )
+    if isinstance(band, bool) or not isinstance(band, Integral):
+        raise TypeError(f"band must be a whole number from 1, got {_one_line(repr(band))}")
     read = _read_npy if name.lower().endswith(".npy") else _read_raster
-    heights, transform, crs = read(name, window, band, encoding)
+    heights, transform, crs = read(name, window, int(band), encoding)
     try:
         return Grid(heights, transform, crs)
     except (TypeError, ValueError) as error:
