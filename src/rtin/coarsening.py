@@ -17,7 +17,7 @@ its parents, the apexes of the triangles that share the edge it bisects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,12 +32,12 @@ __all__ = ["coarsen", "coarsen_levels"]
 
 _Kept = NDArray[np.uint8]
 _Items = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+_Shares = list[NDArray[np.int64]]  # work for each band of rows
 _Tolerance = tuple[float, NDArray[np.float64] | None]
 
-# Triangles larger than this part of the lattice are tested before the rows are shared out: they
-# are few, and where they must be split decides what work there is to share.
-_COARSE_PARTS = 32
-_UNLIMITED = np.iinfo(np.int64).max
+_NO_LIMIT: _Tolerance = (np.inf, None)
+_UNLIMITED = int(np.iinfo(np.int64).max)
 _MOST_NUMBERS = np.iinfo(np.int32).max
 
 
@@ -64,7 +64,8 @@ def coarsen(
         The least mesh in which every valid sample lies within this vertical distance of the
         surface, in the unit of the heights; equality is allowed, and so is 0 (the lossless mesh).
         *Guaranteed* for the mesh returned, everywhere on the surface; no RTIN mesh that keeps the
-        promise has fewer vertices. An array gives each sample its own tolerance.
+        promise has fewer vertices. Float64 heights that float32 can't hold may exceed it by a few
+        units in their last place. An array gives each sample its own tolerance.
     max_vertices, max_triangles : int
         The mesh of the smallest ``max_error`` that has no more vertices or triangles than this.
         ``vertical_error(mesh, grid).max`` is the tolerance achieved.
@@ -90,9 +91,9 @@ def coarsen(
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; a tolerance is negative or NaN; an array
-        is not of the grid's shape; a budget is too small for the grid's outline; or the grid has
-        no finest triangle with three heights.
+        If none or several of the five options are given; a tolerance is negative, or NaN where
+        there is a height; an array is not of the grid's shape; a budget is too small for the
+        grid's outline; or the grid has no finest triangle with three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
@@ -104,15 +105,15 @@ def coarsen(
         threshold=threshold,
         removable=removable,
     )
-    kept_always = _items_to_keep(grid, keep)
+    required = None if keep is None else _as_mask(grid, "keep", keep)
     if name == "max_error":
-        kept = _least_mesh(grid, _as_tolerance(grid, value), kept_always)
+        kept = _least_mesh(grid, _as_tolerance(grid, value), required)
     elif name == "threshold":
-        kept = _closure_of(grid, kept_always, threshold=_as_number("threshold", value))
+        kept = _above_threshold(grid, _as_number("threshold", value), required)
     elif name == "removable":
-        kept = _closure_of(grid, kept_always, unmarked=~_as_mask(grid, "removable", value))
+        kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
-        kept = _within_budget(grid, kept_always, name, _as_count(name, value))
+        kept = _within_budget(grid, name, _as_count(name, value), required)
     return _mesh_of(grid, kept)
 
 
@@ -122,8 +123,8 @@ def coarsen_levels(
     """Return the least mesh for each of several tolerances, in the order given.
 
     Each mesh equals ``coarsen(grid, max_error=...)`` for its tolerance. They are nested: the
-    vertices of a coarser one are among those of a finer one. Every mesh starts from the next
-    coarser one, which makes this quicker than separate calls.
+    vertices of a coarser one are among those of a finer one. Every mesh starts from the triangles
+    of the next coarser one, which spares the tests of all larger triangles.
 
     Parameters
     ----------
@@ -139,55 +140,56 @@ def coarsen_levels(
         As ``coarsen`` does; ValueError if there is no tolerance at all.
     """
     require_grid(grid)
+    if np.ndim(max_errors) != 1:
+        raise TypeError(f"max_errors must be a sequence of numbers, got {max_errors!r}")
     tolerances = [_as_number("max_errors", value) for value in max_errors]
     if not tolerances:
         raise ValueError("max_errors must hold at least one tolerance, got an empty sequence")
-    kept, work = _coarsest(grid), np.concatenate([_roots(grid), _items_to_keep(grid, keep)])
-    meshes = {}
+    required = None if keep is None else _as_mask(grid, "keep", keep)
+    kept, meshes = _coarsest(grid), {}
+    starts: Iterable[_Shares] = _starts(grid, required)
     for tolerance in sorted(set(tolerances), reverse=True):
-        _settle(grid, kept, work, (tolerance, None))
+        remembers = tolerance > min(tolerances)
+        starts = [_settle(grid, kept, shares, (tolerance, None), remembers) for shares in starts]
         meshes[tolerance] = _mesh_of(grid, kept)
-        work = _triangles_around(kept)
     return [meshes[tolerance] for tolerance in tolerances]
 
 
 # --- the families -------------------------------------------------------------------------------
 
 
-def _least_mesh(grid: Grid, tolerance: _Tolerance, kept_always: _Items) -> _Kept:
+def _least_mesh(grid: Grid, tolerance: _Tolerance, required: _Mask | None) -> _Kept:
     kept = _coarsest(grid)
-    _settle(grid, kept, np.concatenate([_roots(grid), kept_always]), tolerance)
+    for shares in _starts(grid, required):
+        _settle(grid, kept, shares, tolerance)
     return kept
 
 
-def _closure_of(
-    grid: Grid,
-    kept_always: _Items,
-    threshold: float | None = None,
-    unmarked: NDArray[np.bool_] | None = None,
-) -> _Kept:
-    """Keep what the outline needs and what is not marked for removal, then close the set."""
+def _above_threshold(grid: Grid, threshold: float, required: _Mask | None) -> _Kept:
     from rtin._kernels.criteria import keep_by_threshold
 
-    rows, cols = grid.shape
-    kept = _coarsest(grid)
-    if not _is_complete(grid) or kept_always.size:
-        _settle(grid, kept, np.concatenate([_roots(grid), kept_always]), (np.inf, None))
-    if threshold is not None:
-        shared = (grid.heights, lattice_size(grid.shape), threshold)
-        _parallel.run(
-            keep_by_threshold, [(*shared, *band, kept) for band in _parallel.row_bands(rows)]
-        )
-    if unmarked is not None:
-        kept[:rows, :cols] |= unmarked & ~np.isnan(grid.heights)
+    kept = _outline(grid)
+    shared = (grid.heights, lattice_size(grid.shape), threshold)
+    bands = _parallel.row_bands(grid.shape[0])
+    _parallel.run(keep_by_threshold, [(*shared, *band, kept) for band in bands])
+    _require(grid, kept, required)
     _close(grid, kept)
     return kept
 
 
-def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _Kept:
-    from rtin._kernels.coarsening import split_worst_first
+def _unmarked(grid: Grid, removable: _Mask, required: _Mask | None) -> _Kept:
+    kept = _outline(grid)
+    _require(grid, kept, ~removable)
+    _require(grid, kept, required)
+    _close(grid, kept)
+    return kept
 
-    kept = _least_mesh(grid, (np.inf, None), kept_always)
+
+def _within_budget(grid: Grid, name: str, budget: int, required: _Mask | None) -> _Kept:
+    from rtin._kernels.coarsening import split_worst_first
+    from rtin._kernels.lattice import VERTEX, pack
+
+    kept = _least_mesh(grid, _NO_LIMIT, required)
     counts = _counts(grid, kept, _mark_used(grid, kept))
     n_vertices, n_triangles = (int(count.sum()) for count in counts)
     least = n_vertices if name == "max_vertices" else n_triangles
@@ -200,7 +202,8 @@ def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _
         max_vertices = budget
     else:
         max_triangles = budget
-    items = _as_items(*np.nonzero(kept[: grid.shape[0], : grid.shape[1]]))
+    rows, cols = np.nonzero(kept[: grid.shape[0], : grid.shape[1]])
+    items = pack(rows, cols, VERTEX)
     split_worst_first(
         grid.heights, kept, items, n_vertices, n_triangles, max_vertices, max_triangles
     )
@@ -210,25 +213,36 @@ def _within_budget(grid: Grid, kept_always: _Items, name: str, budget: int) -> _
 # --- the two rules ------------------------------------------------------------------------------
 
 
-def _settle(grid: Grid, kept: _Kept, work: _Items, tolerance: _Tolerance) -> None:
-    """Keep what ``work`` and both rules of the least mesh demand.
+def _settle(
+    grid: Grid, kept: _Kept, shares: _Shares, tolerance: _Tolerance, remembers: bool = False
+) -> _Shares:
+    """Keep what the work in ``shares`` and both rules of the least mesh demand.
 
     Each band of rows is settled by itself; what it needs of other rows is their next round's work.
+    Returns the triangles that were found to fit, if it is to remember them: those still whole are
+    all that a smaller tolerance has to test.
     """
     from rtin._kernels.coarsening import settle
 
-    n_rows = len(kept)
-    shared = (grid.heights, _is_complete(grid), *tolerance, kept)
-    _, work = settle(*shared, 0, n_rows, max(1, (n_rows - 1) // _COARSE_PARTS), work)
-    bands = _parallel.row_bands(n_rows)
-    while work.size:
-        shares = _shared_out(work, bands)
-        tasks = [
-            (*shared, *band, 1, share)
-            for band, share in zip(bands, shares, strict=True)
-            if share.size
-        ]
-        work = np.concatenate([elsewhere for elsewhere, _ in _parallel.run(settle, tasks)])
+    bands = _parallel.row_bands(len(kept))
+    common = (grid.heights, _is_complete(grid), *tolerance, kept)
+    found: list[list[_Items]] = [[np.empty(0, np.int64)] for _ in bands]
+    while any(share.size for share in shares):
+        busy = [number for number, share in enumerate(shares) if share.size]
+        results = _parallel.run(
+            settle, [(*common, *bands[number], remembers, shares[number]) for number in busy]
+        )
+        for number, (_, fitting) in zip(busy, results, strict=True):
+            found[number].append(fitting)
+        shares = _shared_out(np.concatenate([elsewhere for elsewhere, _ in results]), bands)
+    return [np.concatenate(parts) for parts in found]
+
+
+def _require(grid: Grid, kept: _Kept, required: _Mask | None) -> None:
+    """Keep the required vertices that have a height; the closure is still to come."""
+    if required is not None:
+        rows, cols = grid.shape
+        kept[:rows, :cols] |= required & ~np.isnan(grid.heights)
 
 
 def _close(grid: Grid, kept: _Kept) -> None:
@@ -337,34 +351,35 @@ def _words(kept: _Kept) -> NDArray[np.uint64]:
     return kept.view(np.uint64)
 
 
-def _roots(grid: Grid) -> _Items:
-    """Return the two root triangles, with apexes north-east and south-west."""
-    from rtin._kernels.lattice import packed
+def _outline(grid: Grid) -> _Kept:
+    """Return the least closed set that separates heights from voids."""
+    return _coarsest(grid) if _is_complete(grid) else _least_mesh(grid, _NO_LIMIT, None)
+
+
+def _starts(grid: Grid, required: _Mask | None) -> Iterator[_Shares]:
+    """Yield what a mesh is grown from: the two root triangles, then the required vertices.
+
+    Where many are required, settling a band of them at a time bounds the memory.
+    """
+    from rtin._kernels.lattice import VERTEX, pack
 
     size = lattice_size(grid.shape)
-    if size == 1:
-        return np.empty(0, np.int64)
-    return np.array([packed(0, size, 2), packed(size, 0, 1)], np.int64)
+    bands = _parallel.row_bands(size + 1)
+    # The roots' apexes are the corners in the north-east and the south-west.
+    roots = [pack(0, size, 2), pack(size, 0, 1)] if size > 1 else []
+    yield _shared_out(np.array(roots, np.int64), bands)
+    if required is not None:
+        for first, end in _parallel.row_bands(grid.shape[0]):
+            rows, cols = np.nonzero(required[first:end] & ~np.isnan(grid.heights[first:end]))
+            yield _shared_out(pack(rows + first, cols, VERTEX), bands)
 
 
-def _as_items(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> _Items:
-    from rtin._kernels.lattice import VERTEX
-
-    return (rows.astype(np.int64) << 34) | (cols.astype(np.int64) << 3) | VERTEX
-
-
-def _triangles_around(kept: _Kept) -> _Items:
-    """Return every triangle that may be split next: those at kept apexes, unit ones left out."""
-    rows, cols = np.nonzero(kept)
-    is_unit_apex = (rows ^ cols) & 1 == 1
-    may_split = ~is_unit_apex & (rows + cols > 0)
-    apexes = _as_items(rows[may_split], cols[may_split])
-    return np.concatenate([apexes - 4 + direction for direction in range(4)])
-
-
-def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> list[_Items]:
+def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> _Shares:
     """Return the work of each band of rows."""
-    band_of = np.searchsorted([end for _, end in bands], work >> 34, side="right")
+    from rtin._kernels.lattice import rows_of
+
+    ends = np.array([end for _, end in bands])
+    band_of = np.searchsorted(ends, rows_of(work), side="right")
     order = np.argsort(band_of, kind="stable")
     return np.split(work[order], np.cumsum(np.bincount(band_of, minlength=len(bands)))[:-1])
 
@@ -395,7 +410,7 @@ def _as_number(name: str, value: Any) -> float:  # noqa: ANN401
 def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} must be a whole number, got {value!r}")
-    return int(value)
+    return min(int(value), _UNLIMITED)
 
 
 def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
@@ -410,7 +425,7 @@ def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
             f"max_error must be a number or have the grid's shape {grid.shape}, "
             f"got an array of shape {tolerance.shape}"
         )
-    bad = ~(tolerance >= 0.0)
+    bad = ~(tolerance >= 0.0) & ~np.isnan(grid.heights)
     if bad.any():
         row, col = np.argwhere(bad)[0]
         raise ValueError(
@@ -420,16 +435,10 @@ def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
     return 0.0, np.ascontiguousarray(tolerance, np.float64)
 
 
-def _as_mask(grid: Grid, name: str, value: ArrayLike) -> NDArray[np.bool_]:
+def _as_mask(grid: Grid, name: str, value: ArrayLike) -> _Mask:
     mask = np.asarray(value)
     if mask.dtype != np.bool_:
         raise TypeError(f"{name} must be an array of booleans, got one of {mask.dtype}")
     if mask.shape != grid.shape:
         raise ValueError(f"{name} must have the grid's shape {grid.shape}, got {mask.shape}")
     return mask
-
-
-def _items_to_keep(grid: Grid, keep: ArrayLike | None) -> _Items:
-    if keep is None:
-        return np.empty(0, np.int64)
-    return _as_items(*np.nonzero(_as_mask(grid, "keep", keep) & ~np.isnan(grid.heights)))

@@ -26,16 +26,23 @@ from rtin._kernels._jit import jit
 VERTEX = 4
 
 
-@jit
-def packed(row, col, direction):
-    """One integer for a triangle, or for a vertex where the direction is ``VERTEX``."""
+def pack(row, col, direction):
+    """One integer for a triangle, or for a vertex where the direction is ``VERTEX``; arrays too."""
     return (row << 34) | (col << 3) | direction
+
+
+packed = jit(pack)
 
 
 @jit
 def unpacked(item):
     """Row, column and direction of what ``packed`` stored."""
     return item >> 34, (item >> 3) & 0x7FFFFFFF, item & 7
+
+
+def rows_of(items):
+    """Rows of an array of packed triangles or vertices."""
+    return items >> 34
 
 
 @jit
