@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hand_meshes import bumpy, in_degrees, in_utm, touching_at_a_point, with_hole
-from rtin.io._atomic import replacing, write_bytes
+from rtin._atomic import replacing, write_bytes
 from rtin.io.meshes import (
     is_mesh_path,
     placement_of,
@@ -525,7 +525,7 @@ def test_a_full_disk_leaves_the_old_file(suffix, tmp_path):
 
 SLOW = """
 import sys, time
-from rtin.io._atomic import replacing
+from rtin._atomic import replacing
 with replacing(sys.argv[1]) as part, part.open("wb") as file:
     file.write(b"half")
     file.flush()

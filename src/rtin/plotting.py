@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin import _tint
+from rtin._atomic import write_bytes
+from rtin._crs import metres_per_unit
 from rtin.grid import Grid
-from rtin.io import _tint
-from rtin.io._atomic import write_bytes
-from rtin.io._placement import metres_per_unit
 from rtin.mesh import TriangleMesh
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.io import _tint
+from rtin import _tint
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["encode", "glb", "vertex_normals", "y_up", "z_up"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin._crs import as_crs
+from rtin._crs import as_crs, metres_per_unit, radians_per_unit
 from rtin.io import solid
 from rtin.mesh import TriangleMesh
 
@@ -172,7 +172,7 @@ def _in_metres(
 ) -> Placement:
     longitude, latitude = _round_centre(mesh)
     metres_east, metres_north = metres_per_unit(crs, latitude)
-    degrees = float(np.degrees(_radians_per_unit(crs)))
+    degrees = float(np.degrees(radians_per_unit(crs)))
     east = (longitude * degrees + 180.0) % 360.0 - 180.0
     where = f"{_compass(latitude * degrees, 'NS')} {_compass(east, 'EW')}"
     return Placement(
@@ -181,29 +181,6 @@ def _in_metres(
         crs_text,
         f"x and y scaled from degrees to metres around {where}",
     )
-
-
-def metres_per_unit(crs: pyproj.CRS, latitude: float) -> tuple[float, float]:
-    """Return the metres in one unit of longitude and in one of latitude at ``latitude``.
-
-    The unit, usually the degree, and ``latitude`` are those of the geographic CRS. From the radii
-    of curvature of its ellipsoid, which may be that of another planet.
-    """
-    geod = crs.get_geod()
-    assert geod is not None, "a geographic CRS has an ellipsoid"
-    radians = _radians_per_unit(crs)
-    # Not exactly a pole, where a unit of longitude has no length and could not be undone.
-    phi = np.clip(latitude * radians, -1.5707, 1.5707)
-    flattened = 1.0 - geod.es * np.sin(phi) ** 2
-    prime_vertical = geod.a / np.sqrt(flattened)
-    meridian = geod.a * (1.0 - geod.es) / flattened**1.5
-    return float(prime_vertical * np.cos(phi) * radians), float(meridian * radians)
-
-
-def _radians_per_unit(crs: pyproj.CRS) -> float:
-    geodetic = crs.geodetic_crs
-    assert geodetic is not None, "a geographic CRS has a geodetic one, be it itself"
-    return float(geodetic.axis_info[0].unit_conversion_factor)
 
 
 def _round_centre(mesh: TriangleMesh) -> tuple[float, float]:

@@ -26,7 +26,7 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
 
     suffix = path.suffix.lower()
     # Without this its OBJ reader drops vertices that no triangle uses.
-    options = {"maintain_order": True} if suffix == ".obj" else {}
+    options: Any = {"maintain_order": True} if suffix == ".obj" else {}
     with path.open("rb") as file:
         scene: Any = trimesh.load(
             file, file_type=suffix[1:], force="scene", process=False, **options

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rtin.io import _gltf, _tint
+from rtin import _tint
+from rtin.io import _gltf
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["page"]

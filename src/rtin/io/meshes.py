@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin._atomic import require_place, write_bytes
 from rtin.io import _gltf, _polygons, _trimesh, _vtk, html
-from rtin.io._atomic import require_place, write_bytes
 from rtin.io._placement import PlacedMesh, Placement, place, placement
 from rtin.mesh import TriangleMesh
 
