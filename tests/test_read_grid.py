@@ -472,12 +472,40 @@ def test_damage_found_by_another_thread_stays_off_stderr(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_short_raw_file_is_refused_not_filled_with_zeros(tmp_path):
-    path = write_raster(tmp_path / "a.dat", RAMP.astype(np.float32), driver="ENVI")
+@pytest.mark.parametrize(
+    ("driver", "name"), [("ENVI", "a.dat"), ("EHdr", "a.bil"), ("ISCE", "a.isce")]
+)
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_a_short_raw_file_is_refused_not_filled_with_zeros(tmp_path, driver, name, dtype):
+    path = write_raster(tmp_path / name, RAMP.astype(dtype), driver=driver)
     np.testing.assert_array_equal(read_grid(path).heights, RAMP)
-    path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(OSError, match="too small"):
-        read_grid(path)
+    whole = path.read_bytes()
+    for length in (len(whole) - 1, len(whole) * 3 // 5, len(whole) // 4):
+        path.write_bytes(whole[:length])
+        with pytest.raises(OSError, match="too small") as error:
+            read_grid(path)
+        assert one_line(error)
+
+
+def test_a_raw_file_of_packed_bits_is_not_too_small(tmp_path):
+    path = write_raster(tmp_path / "a.bil", (RAMP % 2).astype(np.uint8), driver="EHdr", nbits=1)
+    np.testing.assert_array_equal(read_grid(path).heights, RAMP % 2)
+
+
+@pytest.mark.parametrize("interleave", ["BSQ", "BIL"])
+def test_the_header_of_an_envi_file_counts_in_its_size(tmp_path, interleave):
+    bands = np.stack([RAMP, RAMP + 1]).astype(np.float32)
+    path = write_raster(tmp_path / "a.dat", bands, driver="ENVI", INTERLEAVE=interleave)
+    header, whole = tmp_path / "a.hdr", path.read_bytes()
+    header.write_text(header.read_text().replace("header offset = 0", "header offset = 8"))
+    (tmp_path / "a.dat.aux.xml").unlink()  # repeats the header as it was
+    path.write_bytes(bytes(8) + whole)
+    np.testing.assert_array_equal(read_grid(path, band=2).heights, RAMP + 1)
+    for length in (len(whole) + 7, len(whole) // 2 + 8, 20):
+        path.write_bytes((bytes(8) + whole)[:length])
+        with pytest.raises(OSError, match="too small") as error:
+            read_grid(path)
+        assert one_line(error)
 
 
 def test_reads_a_usgs_dem(tmp_path):

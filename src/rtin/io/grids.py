@@ -36,11 +36,12 @@ _LOWEST_ON_EARTH, _HIGHEST_ON_EARTH = -12000.0, 9000.0
 _FILL_VALUES = (-999, 9999, -9999, -10000, -32767, 32767, -32768, 65535, -99999, 99999)
 _LARGEST_HEIGHT = 1e9
 _LARGEST_EXACT_INTEGER = 2.0**53
+_RAW_DRIVERS = ("ENVI", "EHdr", "ISCE")
 _GDAL_OPTIONS = {
     # Two cores read a compressed GeoTIFF 1.7 times as fast as one.
     "GDAL_NUM_THREADS": "ALL_CPUS",
     # Without these GDAL fills the missing end of a cut PNG with stale memory, and that of a raw
-    # file with zeros.
+    # file, even if all of it is missing, with zeros.
     "GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO",
     "RAW_CHECK_FILE_SIZE": "YES",
 }
@@ -87,7 +88,7 @@ def read_grid(
         If there is no such file.
     OSError
         If the file is a directory, not a raster, truncated or damaged. GDAL does not notice every
-        damage: a short ENVI, PCIDSK or GeoPackage file and an XYZ table may be read as if complete.
+        damage: a short PCIDSK or GeoPackage file and an XYZ table may be read as if complete.
     ValueError
         If the band does not exist, the window leaves the raster, the file holds several rasters,
         colours cannot be told to be heights, or ``Grid`` refuses the heights.
@@ -193,8 +194,8 @@ def _opened(name: str) -> Iterator[Any]:
                 rasterio.open(name) as dataset,
                 rasterio.Env(GDAL_NUM_THREADS="1"),
             ):
-                if cut:
-                    raise RasterioIOError(cut[0])
+                if cut or _is_short_raw_file(dataset):
+                    raise RasterioIOError(cut[0] if cut else "the file is too small")
                 yield dataset
     except (RasterioError, CPLE_BaseError, CRSError, UnicodeError) as error:
         raise _unreadable(name, error) from None
@@ -217,6 +218,18 @@ def _cut_tags() -> Iterator[list[str]]:
         yield found
     finally:
         logger.removeFilter(collect)
+
+
+def _is_short_raw_file(dataset: Any) -> bool:  # noqa: ANN401
+    """Return whether a file of bare samples ends too soon: GDAL reads up to half as zeros."""
+    if dataset.driver not in _RAW_DRIVERS or not Path(dataset.files[0]).is_file():
+        return False
+    header = dataset.tags(ns="ENVI")
+    if header.get("file_compression") == "1" or "NBITS" in dataset.tags(1, ns="IMAGE_STRUCTURE"):
+        return False
+    bytes_per_cell = sum(np.dtype(dtype).itemsize for dtype in dataset.dtypes)
+    n_bytes = int(header.get("header_offset", 0)) + dataset.height * dataset.width * bytes_per_cell
+    return Path(dataset.files[0]).stat().st_size < n_bytes
 
 
 def _unreadable(name: str, error: Exception) -> OSError:
