@@ -12,7 +12,7 @@ from typing import Any
 __all__ = ["row_bands", "run", "thread_count"]
 
 _MOST_BANDS = 16
-_FEWEST_ROWS = 128
+_FEWEST_ROWS = 256
 
 
 def thread_count() -> int:

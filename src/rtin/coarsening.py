@@ -166,22 +166,20 @@ def _least_mesh(grid: Grid, tolerance: _Tolerance, required: _Mask | None) -> _K
 
 
 def _above_threshold(grid: Grid, threshold: float, required: _Mask | None) -> _Kept:
-    from rtin._kernels.criteria import keep_by_threshold
+    from rtin._kernels.coarsening import close_all, keep_by_threshold
 
     kept = _outline(grid)
-    shared = (grid.heights, lattice_size(grid.shape), threshold)
-    bands = _parallel.row_bands(grid.shape[0])
-    _parallel.run(keep_by_threshold, [(*shared, *band, kept) for band in bands])
-    _require(grid, kept, required)
-    _close(grid, kept)
+    common = (grid.heights, lattice_size(grid.shape), threshold, kept)
+    bands = _parallel.row_bands(len(kept))
+    close_all(kept, _joined(_parallel.run(keep_by_threshold, [(*common, *band) for band in bands])))
+    _keep_marked(grid, kept, required)
     return kept
 
 
 def _unmarked(grid: Grid, removable: _Mask, required: _Mask | None) -> _Kept:
     kept = _outline(grid)
-    _require(grid, kept, ~removable)
-    _require(grid, kept, required)
-    _close(grid, kept)
+    _keep_marked(grid, kept, ~removable)
+    _keep_marked(grid, kept, required)
     return kept
 
 
@@ -234,31 +232,20 @@ def _settle(
         )
         for number, (_, fitting) in zip(busy, results, strict=True):
             found[number].append(fitting)
-        shares = _shared_out(np.concatenate([elsewhere for elsewhere, _ in results]), bands)
-    return [np.concatenate(parts) for parts in found]
+        shares = _shared_out(_joined(elsewhere for elsewhere, _ in results), bands)
+    return [_joined(parts) for parts in found]
 
 
-def _require(grid: Grid, kept: _Kept, required: _Mask | None) -> None:
-    """Keep the required vertices that have a height; the closure is still to come."""
-    if required is not None:
-        rows, cols = grid.shape
-        kept[:rows, :cols] |= required & ~np.isnan(grid.heights)
+def _keep_marked(grid: Grid, kept: _Kept, mask: _Mask | None) -> None:
+    """Keep the vertices of a mask that have a height, and all that the closure adds."""
+    from rtin._kernels.coarsening import close_all, keep_by_mask
 
-
-def _close(grid: Grid, kept: _Kept) -> None:
-    """Add parents until nothing changes: one pass from the finest level to the coarsest.
-
-    Only inside the raster: what lies outside was closed when the outline was settled.
-    """
-    from rtin._kernels.coarsening import close_level
-
-    rows, cols = grid.shape
-    spacing = 1
-    while spacing < lattice_size(grid.shape):
-        shared = (kept, _words(kept), spacing)
-        bands = _parallel.row_bands((rows + spacing - 1) // (2 * spacing))
-        _parallel.run(close_level, [(*shared, *band, cols) for band in bands])
-        spacing *= 2
+    if mask is not None:
+        mask = mask & ~np.isnan(grid.heights)
+        bands = _parallel.row_bands(len(kept))
+        close_all(
+            kept, _joined(_parallel.run(keep_by_mask, [(mask, kept, *band) for band in bands]))
+        )
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------
@@ -372,6 +359,10 @@ def _starts(grid: Grid, required: _Mask | None) -> Iterator[_Shares]:
         for first, end in _parallel.row_bands(grid.shape[0]):
             rows, cols = np.nonzero(required[first:end] & ~np.isnan(grid.heights[first:end]))
             yield _shared_out(pack(rows + first, cols, VERTEX), bands)
+
+
+def _joined(parts: Iterable[_Items]) -> _Items:
+    return np.concatenate(list(parts))
 
 
 def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> _Shares:

@@ -14,9 +14,11 @@ import heapq
 import numpy as np
 
 from rtin._kernels._jit import jit
+from rtin._kernels.criteria import row_errors
 from rtin._kernels.lattice import (
     VERTEX,
     apexes,
+    direction_of,
     hypotenuse,
     is_centre,
     is_inside,
@@ -29,7 +31,6 @@ from rtin._kernels.lattice import (
 )
 
 KEPT, USED = 1, 3
-FIRST_BYTE = np.frombuffer(b"\xff" + bytes(7), np.uint64)[0]
 
 # --- which triangles fit ------------------------------------------------------------------------
 
@@ -247,42 +248,85 @@ def settle(heights, is_complete, max_error, tolerance, kept, first_row, end_row,
 
 
 @jit
-def is_bare(words, row, word):
-    """Whether a row keeps none of eight neighbouring vertices, nor the one after them."""
-    return words[row, word] == 0 and (words[row, word + 1] & FIRST_BYTE) == 0
-
-
-@jit
-def close_cell(kept, row, col, spacing):
-    """Apply the closure to one centre vertex: edge vertices keep it, and it keeps its corners."""
-    beside = kept[row - spacing, col] | kept[row + spacing, col]
-    beside |= kept[row, col - spacing] | kept[row, col + spacing] | kept[row, col]
-    if beside != 0:
-        kept[row, col] = 1
-        kept[row - spacing, col - spacing] = kept[row - spacing, col + spacing] = 1
-        kept[row + spacing, col - spacing] = kept[row + spacing, col + spacing] = 1
-
-
-@jit
-def close_level(kept, words, spacing, first, end, n_cols):
-    """Close the level of that spacing: the rows of cells from first to end, columns below n_cols.
-
-    Two threads at work on neighbouring rows may both write a 1 to a corner between them; none
-    reads it. ``words`` is ``kept`` by eights: most are 0 in a coarse mesh, and passed over.
-    """
-    for row in range((2 * first + 1) * spacing, (2 * end + 1) * spacing, 2 * spacing):
-        if spacing > 4:
-            for col in range(spacing, n_cols, 2 * spacing):
-                close_cell(kept, row, col, spacing)
+def close(kept, first_row, end_row, stack, n_stack, elsewhere, n_elsewhere):
+    """Keep the vertices on the stack and all they need; append what they need of other rows."""
+    while n_stack > 0:
+        n_stack -= 1
+        row, col, _ = unpacked(stack[n_stack])
+        if not first_row <= row < end_row:
+            elsewhere = with_room(elsewhere, n_elsewhere + 1)
+            elsewhere[n_elsewhere] = packed(row, col, VERTEX)
+            n_elsewhere += 1
             continue
-        for word in range((n_cols + 7) // 8):
-            if not (
-                is_bare(words, row - spacing, word)
-                and is_bare(words, row, word)
-                and is_bare(words, row + spacing, word)
-            ):
-                for col in range(8 * word + spacing, min(8 * word + 8, n_cols), 2 * spacing):
-                    close_cell(kept, row, col, spacing)
+        kept[row, col] = 1
+        stack = with_room(stack, n_stack + 2)
+        p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
+        if is_open(kept, first_row, end_row, p_row, p_col):
+            stack[n_stack] = packed(p_row, p_col, VERTEX)
+            n_stack += 1
+        if is_open(kept, first_row, end_row, q_row, q_col):
+            stack[n_stack] = packed(q_row, q_col, VERTEX)
+            n_stack += 1
+    return elsewhere, n_elsewhere
+
+
+@jit
+def close_all(kept, work):
+    """Keep the vertices in ``work``, and all they need."""
+    close(kept, 0, kept.shape[0], work, work.size, work, 0)
+
+
+@jit
+def keep_marked(kept, first_row, end_row, row, marks, stack, elsewhere, n_elsewhere):
+    """Keep the marked vertices of a row, and all they need."""
+    words = marks.view(np.uint64)
+    for word in range(words.size):
+        if words[word] == 0:
+            continue
+        for col in range(8 * word, 8 * word + 8):
+            if marks[col] != 0 and kept[row, col] == 0:
+                stack[0] = packed(row, col, VERTEX)
+                elsewhere, n_elsewhere = close(
+                    kept, first_row, end_row, stack, 1, elsewhere, n_elsewhere
+                )
+    return elsewhere, n_elsewhere
+
+
+@jit
+def keep_by_threshold(heights, size, threshold, kept, first_row, end_row):
+    """Keep the vertices of some rows where E(v) is not less than the threshold, and their parents.
+
+    Returns what these need of other rows.
+    """
+    n_cols = heights.shape[1]
+    errors = np.empty(n_cols, np.float64)
+    marks = np.zeros(8 * ((n_cols + 7) // 8), np.uint8)
+    stack, elsewhere, n_elsewhere = np.empty(160, np.int64), np.empty(64, np.int64), 0
+    for row in range(first_row, min(end_row, heights.shape[0])):
+        row_errors(heights, size, row, errors)
+        for col in range(n_cols):
+            marks[col] = errors[col] >= threshold
+        elsewhere, n_elsewhere = keep_marked(
+            kept, first_row, end_row, row, marks, stack, elsewhere, n_elsewhere
+        )
+    return elsewhere[:n_elsewhere]
+
+
+@jit
+def keep_by_mask(mask, kept, first_row, end_row):
+    """Keep the vertices of some rows where the mask is True, and their parents.
+
+    Returns what these need of other rows.
+    """
+    n_cols = mask.shape[1]
+    marks = np.zeros(8 * ((n_cols + 7) // 8), np.uint8)
+    stack, elsewhere, n_elsewhere = np.empty(160, np.int64), np.empty(64, np.int64), 0
+    for row in range(first_row, min(end_row, mask.shape[0])):
+        marks[:n_cols] = mask[row]
+        elsewhere, n_elsewhere = keep_marked(
+            kept, first_row, end_row, row, marks, stack, elsewhere, n_elsewhere
+        )
+    return elsewhere[:n_elsewhere]
 
 
 # --- budgets ------------------------------------------------------------------------------------
@@ -400,23 +444,40 @@ def is_valid(heights, row, col):
 
 
 @jit
-def is_present(heights, kept, row, col, spacing, direction):
-    """Whether the triangle at a kept apex is in the mesh: not split, and without a void corner."""
+def leaf_directions(kept, row, col, spacing):
+    """Directions, as bits, in which a kept apex has a triangle that is not split."""
     size = kept.shape[0] - 1
-    if spacing == 0:
-        return False
-    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
-    if not (is_inside(a_row, a_col, size) and is_inside(b_row, b_col, size)):
-        return False
-    if not is_unit(row, col, spacing):
-        mid_row, mid_col = midpoint(row, col, spacing, direction)
-        if kept[mid_row, mid_col] != 0:
-            return False
-    return (
-        is_valid(heights, row, col)
-        and is_valid(heights, a_row, a_col)
-        and is_valid(heights, b_row, b_col)
-    )
+    if is_unit(row, col, spacing) and 0 < row < size and 0 < col < size:
+        return 15
+    directions = 0
+    if 0 < row < size and 0 < col < size:
+        # Without branches: whether a triangle is split is beyond prediction.
+        for direction in range(4):
+            mid_row, mid_col = midpoint(row, col, spacing, direction)
+            directions |= (kept[mid_row, mid_col] == 0) << direction
+    elif spacing > 0 and not is_centre(row, col, spacing):
+        for direction in range(4):
+            row_step, col_step = direction_of(direction)
+            mid_row, mid_col = midpoint(row, col, spacing, direction)
+            if is_inside(row + row_step, col + col_step, size):
+                is_leaf = spacing == 1 or kept[mid_row, mid_col] == 0
+                directions |= is_leaf << direction
+    return directions
+
+
+@jit
+def present_directions(heights, is_complete, kept, row, col, spacing):
+    """Directions, as bits, in which a kept apex has a triangle without a void corner."""
+    leaves = leaf_directions(kept, row, col, spacing)
+    if is_complete or leaves == 0:
+        return leaves
+    directions = 0
+    for direction in range(4):
+        if leaves >> direction & 1:
+            a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
+            is_whole = is_valid(heights, a_row, a_col) and is_valid(heights, b_row, b_col)
+            directions |= (is_whole and is_valid(heights, row, col)) << direction
+    return directions
 
 
 @jit
@@ -431,8 +492,9 @@ def mark_used(heights, kept, words):
                 if kept[row, col] == 0:
                     continue
                 spacing = spacing_of(row, col)
+                directions = present_directions(heights, False, kept, row, col, spacing)
                 for direction in range(4):
-                    if is_present(heights, kept, row, col, spacing, direction):
+                    if directions >> direction & 1:
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
                         kept[row, col] = kept[a_row, a_col] = kept[b_row, b_col] = USED
 
@@ -445,17 +507,20 @@ def count_mesh(heights, kept, words, in_mesh, first_row, end_row, n_vertices, n_
     """
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
-        n_vertices[row] = n_triangles[row] = 0
+        vertices, triangles = 0, 0
+        row_words = words[row]
         for word in range((n_cols + 7) // 8):
-            if words[row, word] == 0:
+            if row_words[word] == 0:
                 continue
             for col in range(8 * word, min(8 * word + 8, n_cols)):
                 if kept[row, col] != in_mesh:
                     continue
-                n_vertices[row] += 1
+                vertices += 1
                 spacing = spacing_of(row, col)
+                directions = present_directions(heights, in_mesh == KEPT, kept, row, col, spacing)
                 for direction in range(4):
-                    n_triangles[row] += is_present(heights, kept, row, col, spacing, direction)
+                    triangles += directions >> direction & 1
+        n_vertices[row], n_triangles[row] = vertices, triangles
 
 
 @jit
@@ -501,16 +566,19 @@ def fill_triangles(
         for word in range((n_cols + 7) // 8):
             if words[row, word] == 0:
                 continue
+            apex = in_word[row, word] - 1
             for col in range(8 * word, min(8 * word + 8, n_cols)):
                 if kept[row, col] != in_mesh:
                     continue
                 spacing = spacing_of(row, col)
+                apex += 1
+                directions = present_directions(heights, in_mesh == KEPT, kept, row, col, spacing)
                 for direction in range(4):
-                    if is_present(heights, kept, row, col, spacing, direction):
+                    if directions >> direction & 1:
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
                         a = vertex_number(kept, in_mesh, in_word, a_row, a_col)
                         b = vertex_number(kept, in_mesh, in_word, b_row, b_col)
                         triangles[number, 0] = b if flip else a
                         triangles[number, 1] = a if flip else b
-                        triangles[number, 2] = vertex_number(kept, in_mesh, in_word, row, col)
+                        triangles[number, 2] = apex
                         number += 1
