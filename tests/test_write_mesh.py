@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from hand_meshes import bumpy, in_degrees, in_utm, touching_at_a_point, with_hole
 from rtin._atomic import replacing, write_bytes
+from rtin.io import _gltf
 from rtin.io.meshes import (
     is_mesh_path,
     placement_of,
@@ -236,6 +237,36 @@ def test_glb_is_matt_and_tinted_from_low_to_high(tmp_path):
     brightness = mesh.visual.vertex_attributes["color"][:, :3].sum(axis=1)
     heights = bumpy().vertices[:, 2]
     assert brightness[heights.argmax()] > 1.5 * brightness[heights.argmin()]
+
+
+def test_glb_says_what_each_part_of_its_buffer_is_for(tmp_path):
+    mesh = bumpy()
+    write_mesh(mesh, tmp_path / "mesh.glb")
+    tree = glb_json(tmp_path / "mesh.glb")
+    targets = [view["target"] for view in tree["bufferViews"]]
+    assert targets == [34963, 34962, 34962, 34962, 34962]
+    (primitive,) = tree["meshes"][0]["primitives"]
+    assert tree["accessors"][primitive["indices"]]["count"] == 3 * mesh.n_triangles
+    ends = [view["byteOffset"] + view["byteLength"] for view in tree["bufferViews"]]
+    assert ends[-1] == tree["buffers"][0]["byteLength"]
+    assert not [end for end in ends if end % 4]
+
+
+def test_glb_states_the_bounds_of_its_positions_exactly(tmp_path):
+    mesh = in_utm()
+    write_mesh(mesh, tmp_path / "mesh.glb")
+    position = glb_json(tmp_path / "mesh.glb")["accessors"][1]
+    (part,) = trimesh.load_scene(tmp_path / "mesh.glb", process=False).geometry.values()
+    assert [position["min"], position["max"]] == part.bounds.tolist()
+
+
+def test_a_glb_that_would_not_fit_its_32_bit_lengths_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(_gltf, "_LONGEST_FILE", 4000)
+    with pytest.raises(
+        ValueError, match=r"at most 4,000 bytes, .* take [5-9],\d\d\d; write a \.ply"
+    ):
+        write_mesh(bumpy(), tmp_path / "mesh.glb")
+    assert not list(tmp_path.iterdir())
 
 
 def test_glb_names_the_crs_in_its_extras(tmp_path):
@@ -583,4 +614,21 @@ def test_writing_imports_nothing_heavy_before_it_is_asked():
     result = subprocess.run(
         [sys.executable, "-c", code, *heavy], capture_output=True, text=True, check=True
     )
+    assert result.stdout == "[]\n"
+
+
+WRITE_ALL = """
+import sys
+sys.path.insert(0, sys.argv[2])
+from hand_meshes import bumpy
+from rtin.io.meshes import write_mesh
+for suffix in ("glb", "html", "obj", "ply", "stl"):
+    write_mesh(bumpy(), f"{sys.argv[1]}/mesh.{suffix}")
+print([m for m in sys.modules if m in ("trimesh", "pyvista", "matplotlib", "scipy")])
+"""
+
+
+def test_writing_imports_nothing_heavy_but_for_vtk(tmp_path):
+    command = [sys.executable, "-c", WRITE_ALL, str(tmp_path), str(Path(__file__).parent)]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout == "[]\n"

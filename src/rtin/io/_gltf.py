@@ -1,7 +1,9 @@
-"""Binary glTF (GLB) through trimesh."""
+"""Binary glTF (GLB)."""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +17,11 @@ __all__ = ["encode", "glb", "vertex_normals", "y_up", "z_up"]
 
 _Floats = NDArray[np.float64]
 _Tree = dict[str, Any]
+
+# glTF's numbers for types of components and for what a part of the binary chunk holds.
+_UINT8, _UINT32, _FLOAT32 = 5121, 5125, 5126
+_ATTRIBUTES, _INDICES = 34962, 34963
+_LONGEST_FILE = 2**32 - 1
 
 
 def glb(placed: PlacedMesh) -> bytes:
@@ -34,37 +41,74 @@ def encode(
 ) -> bytes:
     """Return a GLB of one mesh, its vertices less ``shift``; ``finish`` may change its JSON.
 
-    Solids have no normals: viewers then shade each triangle flat, so that the rim stays sharp.
+    Written here because importing trimesh takes longer than all else that writing a small mesh
+    does. Solids have no normals: viewers then shade each triangle flat, so that the rim stays
+    sharp.
     """
-    import trimesh
-    from trimesh.exchange.gltf import export_glb
+    attributes = {"POSITION": y_up(placed.vertices - shift).astype("<f4")}
+    if not placed.is_solid:
+        attributes["NORMAL"] = y_up(vertex_normals(placed)).astype("<f4")
+    attributes["TEXCOORD_0"] = _texture_coordinates(placed).astype("<f4")
+    attributes["COLOR_0"] = _opaque(colours)
+    tree = _tree(placed, attributes)
+    finish(tree)
+    arrays = [placed.triangles.astype("<u4"), *attributes.values()]
+    text = json.dumps(tree, separators=(",", ":")).encode("ascii")
+    return _container(text, b"".join(array.tobytes() for array in arrays))
 
-    normals = None if placed.is_solid else y_up(vertex_normals(placed))
-    terrain = trimesh.Trimesh(
-        y_up(placed.vertices - shift),
-        placed.triangles,
-        vertex_normals=normals,
-        visual=_visual(_texture_coordinates(placed), colours),
-        metadata={"rtin": placed.as_dict()},
-        process=False,
-    )
 
-    def finish_all(tree: _Tree) -> None:
-        tree["asset"]["generator"] = "rtin"
-        tree["nodes"] = [{"name": "terrain", "mesh": 0}]
-        tree["scenes"] = [{"nodes": [0]}]
-        finish(tree)
+def _tree(placed: PlacedMesh, attributes: dict[str, NDArray[Any]]) -> _Tree:
+    """Return the JSON of a GLB whose binary part is the triangles and then each attribute."""
+    corners = {"componentType": _UINT32, "type": "SCALAR", "count": placed.triangles.size}
+    lengths = [placed.triangles.nbytes, *(values.nbytes for values in attributes.values())]
+    starts = [sum(lengths[:view]) for view in range(len(lengths))]
+    targets = [_INDICES, *[_ATTRIBUTES] * len(attributes)]
+    primitive = {
+        "attributes": {name: view for view, name in enumerate(attributes, start=1)},
+        "indices": 0,
+        "material": 0,
+    }
+    matt = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+    return {
+        "asset": {"version": "2.0", "generator": "rtin"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "terrain", "mesh": 0}],
+        "meshes": [
+            {"name": "terrain", "primitives": [primitive], "extras": {"rtin": placed.as_dict()}}
+        ],
+        "materials": [{"pbrMetallicRoughness": matt, "doubleSided": True}],
+        "accessors": [
+            {"bufferView": view, **accessor}
+            for view, accessor in enumerate([corners, *map(_accessor, attributes.values())])
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": length, "target": target}
+            for start, length, target in zip(starts, lengths, targets, strict=True)
+        ],
+        "buffers": [{"byteLength": sum(lengths)}],
+    }
 
-    scene = trimesh.Scene()
-    scene.add_geometry(terrain, geom_name="terrain")
-    data = export_glb(  # type: ignore[no-untyped-call]
-        scene,
-        include_normals=normals is not None,
-        unitize_normals=False,
-        tree_postprocessor=finish_all,
-    )
-    assert isinstance(data, bytes)
-    return data
+
+def _accessor(values: NDArray[Any]) -> _Tree:
+    kind = _UINT8 if values.dtype == np.uint8 else _FLOAT32
+    accessor = {"componentType": kind, "type": f"VEC{values.shape[1]}", "count": len(values)}
+    if kind == _UINT8:
+        return {**accessor, "normalized": True}
+    return {**accessor, "min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+
+
+def _container(text: bytes, binary: bytes) -> bytes:
+    """Return a GLB of one JSON chunk, padded to a multiple of four bytes, and one binary one."""
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    if length > _LONGEST_FILE:
+        raise ValueError(
+            f"a GLB holds at most {_LONGEST_FILE:,} bytes, this mesh would take {length:,}; "
+            "write a .ply or a .vtu, or a coarser mesh"
+        )
+    header = struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON")
+    return b"".join([header, text, struct.pack("<I4s", len(binary), b"BIN\0"), binary])
 
 
 def y_up(points: _Floats) -> _Floats:
@@ -82,8 +126,7 @@ def vertex_normals(placed: PlacedMesh) -> _Floats:
 
     A vertex that no triangle uses, or whose triangles cancel out, has (0, 0, 1).
     """
-    corners = placed.vertices[placed.triangles]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    crosses = placed.area_vectors()
     numbers = placed.triangles.ravel()
     n_vertices = len(placed.vertices)
     sums = np.column_stack(
@@ -94,24 +137,15 @@ def vertex_normals(placed: PlacedMesh) -> _Floats:
 
 
 def _texture_coordinates(placed: PlacedMesh) -> _Floats:
-    """Return u from west to east and v from south to north, 0 to 1 over the terrain's bounds.
-
-    trimesh turns v around: in glTF v = 0 is the top row of an image, so the north.
-    """
-    low, high = placed.terrain_bounds[:, :2]
-    extent = np.where(high > low, high - low, 1.0)
-    return np.asarray((placed.vertices[:, :2] - low) / extent)
-
-
-def _visual(uv: _Floats, colours: _Floats) -> Any:  # noqa: ANN401  (trimesh has no types)
-    from trimesh.visual import TextureVisuals
-    from trimesh.visual.material import PBRMaterial
-
-    material = PBRMaterial(  # type: ignore[no-untyped-call]
-        metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
+    """Return u from west to east and v from north to south, 0 to 1 over the terrain's bounds."""
+    (west, south), (east, north) = placed.terrain_bounds[:, :2]
+    x, y, _ = placed.vertices.T
+    return np.column_stack(
+        [(x - west) / ((east - west) or 1.0), (north - y) / ((north - south) or 1.0)]
     )
-    visual = TextureVisuals(uv=uv, material=material)  # type: ignore[no-untyped-call]
-    opaque = np.full((len(colours), 4), 255, dtype=np.uint8)
-    opaque[:, :3] = np.rint(255.0 * colours)
-    visual.vertex_attributes["color"] = opaque
-    return visual
+
+
+def _opaque(colours: _Floats) -> NDArray[np.uint8]:
+    rgba = np.full((len(colours), 4), 255, dtype=np.uint8)
+    rgba[:, :3] = np.rint(255.0 * colours)
+    return rgba

@@ -120,6 +120,11 @@ class PlacedMesh:
         x, y, _ = self.terrain_bounds.mean(axis=0)
         return np.array([x, y, 0.0])
 
+    def area_vectors(self) -> NDArray[np.float64]:
+        """Return each triangle's normal, as long as twice its area, shape (m, 3)."""
+        corners = self.vertices[self.triangles]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
 
 def place(mesh: TriangleMesh, placed: Placement, base: float | None) -> PlacedMesh:
     """Return ``mesh`` as ``placed`` says, closed to a solid of thickness ``base`` if that is given.

@@ -30,27 +30,19 @@ def ply(placed: PlacedMesh) -> bytes:
 
 def stl(placed: PlacedMesh) -> bytes:
     """Return ``placed`` as a binary STL, which has room for nothing but 32-bit coordinates."""
-    import trimesh
-    from trimesh.exchange.stl import export_stl
-
-    data = export_stl(trimesh.Trimesh(placed.vertices, placed.triangles, process=False))
-    assert isinstance(data, bytes)
-    return data
+    facets = np.zeros(
+        len(placed.triangles),
+        dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")],
+    )
+    facets["corners"] = placed.vertices[placed.triangles]
+    crosses = placed.area_vectors()
+    lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+    facets["normal"] = crosses / np.where(lengths > 0.0, lengths, 1.0)
+    return b"rtin".ljust(80) + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
 def obj(placed: PlacedMesh) -> bytes:
-    """Return ``placed`` as an OBJ, its coordinates with six decimals or nine digits."""
-    import trimesh
-    from trimesh.exchange.obj import export_obj
-
-    extent = float(np.ptp(placed.terrain_bounds[:, :2], axis=0).max()) or 1.0
-    text = export_obj(  # type: ignore[no-untyped-call]
-        trimesh.Trimesh(placed.vertices, placed.triangles, process=False),
-        include_normals=False,
-        include_color=False,
-        include_texture=False,
-        digits=max(6, 9 - int(np.floor(np.log10(extent)))),
-        header=f"rtin {placed.as_json()}",
-    )
-    assert isinstance(text, str)
-    return text.encode()
+    """Return ``placed`` as an OBJ, each number with as many digits as it takes to read it back."""
+    vertices = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in placed.vertices.tolist())
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (placed.triangles + 1).tolist())
+    return f"# rtin {placed.as_json()}\n{vertices}{faces}".encode("ascii")

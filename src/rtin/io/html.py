@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import base64
 import re
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -34,16 +37,22 @@ def page(placed: PlacedMesh) -> bytes:
     The page is trimesh's viewer. Its only light sits at the camera and shows no relief, so the
     light is part of the colours here and the material is unlit.
     """
-    from trimesh import resources, util
-
-    archive: Any = util.decompress(resources.get_bytes("templates/viewer.zip"), file_type="zip")
-    template: str = archive["viewer.html.template"].read().decode("utf-8")
     counts = f"{len(placed.triangles):,} triangles, {len(placed.vertices):,} vertices"
-    head, body = template.split("$B64GLTF")
+    head, body = _template().split("$B64GLTF")
     head = re.sub("<title>.*?</title>", f"<title>rtin: {counts}</title>", head, count=1)
     head = head.replace("<body>", "<body>" + _CAPTION.format(counts=counts), 1)
     body = body.replace("</body>", _WIREFRAME + "</body>", 1)
     return head.encode() + base64.b64encode(_unlit_glb(placed)) + body.encode()
+
+
+def _template() -> str:
+    """Return trimesh's viewer, three.js and all, without the time that importing trimesh takes."""
+    found = find_spec("trimesh")
+    assert found is not None, "trimesh is required"
+    assert found.origin is not None, "trimesh is a folder with an __init__.py"
+    archive = Path(found.origin).parent / "resources" / "templates" / "viewer.zip"
+    with ZipFile(archive) as files:
+        return files.read("viewer.html.template").decode("utf-8")
 
 
 def _unlit_glb(placed: PlacedMesh) -> bytes:
