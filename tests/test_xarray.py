@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -61,25 +62,78 @@ def test_nan_is_void(array):
     np.testing.assert_array_equal(np.argwhere(np.isnan(grid.heights)), [[0, 2]])
 
 
-@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # rioxarray on affine 3
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize(("dtype", "nodata"), [("int16", -32768), ("float32", -3.4e38)])
-def test_rioxarray_and_read_grid_agree(tmp_path, masked, dtype, nodata):
-    rioxarray = pytest.importorskip("rioxarray")
-    path = tmp_path / "a.tif"
+old_affine = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # in rioxarray
+NORTH_UP, ROTATED = Affine(10, 0, 300, 0, -10, 900), Affine(10, 2, 300, 3, -9, 900)
+
+
+def write_tif(path, dtype="int16", nodata=-32768, transform=NORTH_UP, scale=(1.0, 0.0)):
     stored = HEIGHTS.astype(dtype)
     stored[1, 1] = nodata
     profile = {"count": 1, "height": 3, "width": 4, "dtype": dtype, "nodata": nodata}
-    place = {"transform": Affine(10, 0, 300, 0, -10, 900), "crs": "EPSG:32628"}
-    with rasterio.open(path, "w", driver="GTiff", **profile, **place) as file:
-        file.write(stored, 1)
-    ours = read_grid(path)
-    with rioxarray.open_rasterio(path, masked=masked) as opened:
-        theirs = Grid.from_xarray(opened)
+    place = {} if transform is None else {"transform": transform, "crs": "EPSG:32628"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(path, "w", driver="GTiff", **profile, **place) as file:
+            file.write(stored, 1)
+            file.scales, file.offsets = [scale[0]], [scale[1]]
+    return path
+
+
+def opened(path, **options):
+    rioxarray = pytest.importorskip("rioxarray")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rioxarray.open_rasterio(path, **options) as array:
+            return array.load()
+
+
+@old_affine
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(("dtype", "nodata"), [("int16", -32768), ("float32", -3.4e38)])
+def test_rioxarray_and_read_grid_agree(tmp_path, masked, dtype, nodata):
+    path = write_tif(tmp_path / "a.tif", dtype, nodata)
+    ours, theirs = read_grid(path), Grid.from_xarray(opened(path, masked=masked))
     np.testing.assert_array_equal(theirs.heights, ours.heights)
     assert theirs.transform == ours.transform
     assert theirs.crs == ours.crs
     assert theirs.has_voids
+
+
+@old_affine
+@pytest.mark.parametrize("transform", [NORTH_UP, ROTATED])
+@pytest.mark.parametrize("parse_coordinates", [False, True])
+def test_rioxarray_and_read_grid_agree_on_the_place(tmp_path, transform, parse_coordinates):
+    path = write_tif(tmp_path / "a.tif", transform=transform)
+    array = opened(path, parse_coordinates=parse_coordinates)
+    ours = read_grid(path)
+    for grid in (Grid.from_xarray(array), Grid.from_xarray(array.transpose())):
+        assert grid.transform[:6] == pytest.approx(ours.transform[:6], rel=1e-12)
+        assert grid.crs == ours.crs
+
+
+@old_affine
+@pytest.mark.parametrize("transform", [NORTH_UP, ROTATED])
+def test_a_part_keeps_its_place(tmp_path, transform):
+    path = write_tif(tmp_path / "a.tif", transform=transform)
+    part = Grid.from_xarray(opened(path)[:, 1:, 2:])
+    whole = read_grid(path, window=((1, 3), (2, 4)))
+    assert part.transform[:6] == pytest.approx(whole.transform[:6], rel=1e-12)
+
+
+def test_curved_coordinates_are_refused(tmp_path):
+    array = opened(write_tif(tmp_path / "a.tif", transform=ROTATED))
+    array.xc[1, 1] += 1.0
+    with pytest.raises(ValueError, match="'xc' must be evenly spaced"):
+        Grid.from_xarray(array)
+
+
+@old_affine
+def test_a_crs_without_a_place_is_refused(tmp_path):
+    array = opened(write_tif(tmp_path / "a.tif", transform=None), parse_coordinates=False)
+    assert Grid.from_xarray(array).transform == Grid(HEIGHTS).transform
+    with pytest.raises(ValueError, match="neither coordinates nor a transform") as error:
+        Grid.from_xarray(array.rio.write_crs("EPSG:32628"))
+    assert "\n" not in str(error.value)
 
 
 def test_the_accessor_makes_the_same_mesh_as_the_function(array):

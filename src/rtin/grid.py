@@ -11,7 +11,7 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin._crs import as_crs
-from rtin._raster import NORTH_UP, row_chunks
+from rtin._raster import NORTH_UP, moved, row_chunks
 
 if TYPE_CHECKING:
     import pyproj
@@ -89,12 +89,18 @@ class Grid:
         Rows and columns are its two dimensions, in that order, after singleton ones are dropped;
         the other way round where the first is called x, lon or longitude.
         The coordinates of both, where present, must be evenly spaced; they become the transform.
-        The CRS is read through rioxarray where that is installed.
+        So do xc and yc, the coordinates in two dimensions that rioxarray gives a rotated raster.
+        An array without any is taken to lie where rioxarray's transform says, which does not
+        follow when such an array is cut or thinned. Without that, too, and without a CRS, it gets
+        the transform of a ``Grid``.
+
+        The CRS and the nodata value are read through rioxarray where that is installed.
 
         Raises
         ------
         ValueError
-            If there are not two dimensions or a coordinate is not evenly spaced.
+            If there are not two dimensions, a coordinate is not evenly spaced, or there is a CRS
+            but nothing that says where the array lies.
         """
         data = data.squeeze(drop=True)
         if data.ndim != 2:
@@ -104,15 +110,12 @@ class Grid:
             )
         if data.dims[0] in ("x", "lon", "longitude"):
             data = data.transpose()
-        row_dim, col_dim = data.dims
-        y0, dy = _origin_and_step(data, row_dim, default_step=-1.0)
-        x0, dx = _origin_and_step(data, col_dim, default_step=1.0)
         crs = getattr(getattr(data, "rio", None), "crs", None)
         nodata = getattr(getattr(data, "rio", None), "nodata", None)
         heights = np.asarray(data.values)
         if nodata is not None and not np.isnan(nodata):
             heights = np.ma.masked_equal(heights, nodata)
-        return cls(heights, Affine(dx, 0.0, x0, 0.0, dy, y0), crs)
+        return cls(heights, _transform_of(data, has_crs=crs is not None), crs)
 
     def __repr__(self) -> str:
         rows, cols = self.shape
@@ -205,13 +208,49 @@ def _as_transform(value: Any) -> Affine:  # noqa: ANN401
     return transform
 
 
+def _transform_of(data: Any, *, has_crs: bool) -> Affine:  # noqa: ANN401
+    """Return where the samples of a DataArray lie: by its coordinates, or else by rioxarray."""
+    row_dim, col_dim = data.dims
+    missing = [dim for dim in data.dims if dim not in data.coords]
+    planar = [name for name, coord in data.coords.items() if set(coord.dims) == set(data.dims)]
+    if missing and data.size and {"xc", "yc"} <= set(planar):
+        return Affine(*_plane(data, "xc"), *_plane(data, "yc"))
+    if missing and hasattr(data, "rio") and data.rio.transform() != Affine.identity():
+        return moved(data.rio.transform(), 0.5, 0.5)
+    if missing and has_crs:
+        raise ValueError(
+            f"the DataArray has a CRS, but along {' and '.join(map(repr, missing))} neither "
+            "coordinates nor a transform; give it coordinates or drop the CRS"
+        )
+    y0, dy = _origin_and_step(data, row_dim, default_step=-1.0)
+    x0, dx = _origin_and_step(data, col_dim, default_step=1.0)
+    return Affine(dx, 0.0, x0, 0.0, dy, y0)
+
+
+def _plane(data: Any, name: str) -> tuple[float, float, float]:  # noqa: ANN401
+    """Return a two-dimensional coordinate's steps along columns and rows, and its origin."""
+    values = np.asarray(data.coords[name].transpose(*data.dims).values, dtype=np.float64)
+    rows, cols = values.shape
+    origin = values[0, 0]
+    along_cols = (values[0, -1] - origin) / (cols - 1)
+    along_rows = (values[-1, 0] - origin) / (rows - 1)
+    plane = origin + along_cols * np.arange(cols) + along_rows * np.arange(rows)[:, np.newaxis]
+    tolerance = 1e-3 * (abs(along_cols) + abs(along_rows))
+    _require_even(np.allclose(values, plane, rtol=0.0, atol=tolerance), name)
+    return float(along_cols), float(along_rows), float(origin)
+
+
 def _origin_and_step(data: Any, dim: str, default_step: float) -> tuple[float, float]:  # noqa: ANN401
     if dim not in data.coords or data.sizes[dim] < 2:
         return 0.0, default_step
     values = np.asarray(data.coords[dim].values, dtype=np.float64)
     step = (values[-1] - values[0]) / (len(values) - 1)
-    if not np.allclose(np.diff(values), step, rtol=1e-3, atol=0.0):
-        raise ValueError(
-            f"coordinate {dim!r} must be evenly spaced; resample the array to a regular grid first"
-        )
+    _require_even(np.allclose(np.diff(values), step, rtol=1e-3, atol=0.0), dim)
     return float(values[0]), float(step)
+
+
+def _require_even(even: bool, name: str) -> None:
+    if not even:
+        raise ValueError(
+            f"coordinate {name!r} must be evenly spaced; resample the array to a regular grid first"
+        )
