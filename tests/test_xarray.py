@@ -136,6 +136,30 @@ def test_a_crs_without_a_place_is_refused(tmp_path):
     assert "\n" not in str(error.value)
 
 
+@old_affine
+@pytest.mark.parametrize("options", [{}, {"masked": True}, {"mask_and_scale": True}])
+@pytest.mark.parametrize("dtype", ["int16", "float64"])
+def test_scale_and_offset_are_applied_once(tmp_path, options, dtype):
+    path = write_tif(tmp_path / "a.tif", dtype, scale=(0.1, -500.0))
+    array = opened(path, **options)
+    before = array.copy(deep=True)
+    grid = Grid.from_xarray(array)
+    assert grid.heights.dtype == np.float32 or options == {"mask_and_scale": True}
+    np.testing.assert_allclose(grid.heights, read_grid(path).heights, rtol=1e-6)
+    xarray.testing.assert_identical(array, before)
+
+
+def test_scale_offset_and_fill_need_no_rioxarray(tmp_path):
+    code = (
+        "import sys; sys.modules['rioxarray'] = None; import xarray, rtin;"
+        "packed = xarray.DataArray([[1, 2], [3, -1]], "
+        "attrs={'scale_factor': 0.5, 'add_offset': 10.0, '_FillValue': -1});"
+        "print(rtin.Grid.from_xarray(packed).heights.tolist())"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.stdout == "[[10.5, 11.0], [11.5, nan]]\n"
+
+
 def test_the_accessor_makes_the_same_mesh_as_the_function(array):
     direct = rtin.coarsen(Grid.from_xarray(array), max_error=2.0)
     mesh = array.rtin.coarsen(max_error=2.0)

@@ -1,12 +1,15 @@
-"""What ``Grid`` and the readers of rasters share: rows in chunks and where samples lie."""
+"""What ``Grid`` and the readers of rasters share: rows in chunks, scaled heights, places."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
 from affine import Affine
+from numpy.typing import NDArray
 
-__all__ = ["NORTH_UP", "moved", "row_chunks"]
+__all__ = ["NORTH_UP", "moved", "row_chunks", "scaled"]
 
 CHUNK_SAMPLES = 1 << 18
 NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
@@ -23,3 +26,23 @@ def moved(transform: Affine, rows: float, cols: float) -> Affine:
     # Affine's own product is * before version 3 and @ since.
     a, b, x, d, e, y = transform[:6]
     return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
+
+
+def scaled(
+    values: NDArray[Any],
+    scale: float,
+    offset: float,
+    *,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[Any]:
+    """Return ``values * scale + offset``, computed in float64 and rounded to float32.
+
+    Where that changes nothing, returns the values themselves.
+    """
+    if scale == 1.0 and offset == 0.0:
+        return values
+    heights = np.empty(values.shape, np.float32) if out is None else out
+    with np.errstate(over="ignore", invalid="ignore"):
+        for rows in row_chunks(values.shape):
+            heights[rows] = values[rows].astype(np.float64) * scale + offset
+    return heights

@@ -11,7 +11,7 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin._crs import as_crs
-from rtin._raster import NORTH_UP, moved, row_chunks
+from rtin._raster import NORTH_UP, moved, row_chunks, scaled
 
 if TYPE_CHECKING:
     import pyproj
@@ -94,7 +94,9 @@ class Grid:
         follow when such an array is cut or thinned. Without that, too, and without a CRS, it gets
         the transform of a ``Grid``.
 
-        The CRS and the nodata value are read through rioxarray where that is installed.
+        The CRS and the nodata value are read through rioxarray where that is imported. The
+        attributes scale_factor and add_offset, which an array has until they are applied, are
+        applied as in ``read_grid``, and so rounded to float32.
 
         Raises
         ------
@@ -111,11 +113,7 @@ class Grid:
         if data.dims[0] in ("x", "lon", "longitude"):
             data = data.transpose()
         crs = getattr(getattr(data, "rio", None), "crs", None)
-        nodata = getattr(getattr(data, "rio", None), "nodata", None)
-        heights = np.asarray(data.values)
-        if nodata is not None and not np.isnan(nodata):
-            heights = np.ma.masked_equal(heights, nodata)
-        return cls(heights, _transform_of(data, has_crs=crs is not None), crs)
+        return cls(_unpacked(data), _transform_of(data, has_crs=crs is not None), crs)
 
     def __repr__(self) -> str:
         rows, cols = self.shape
@@ -206,6 +204,17 @@ def _as_transform(value: Any) -> Affine:  # noqa: ANN401
             f"got {tuple(transform)[:6]}"
         )
     return transform
+
+
+def _unpacked(data: Any) -> NDArray[Any]:  # noqa: ANN401
+    """Return a DataArray's heights, masked where nodata, with scale and offset applied."""
+    values = np.asarray(data.values)
+    nodata = data.rio.nodata if hasattr(data, "rio") else data.attrs.get("_FillValue")
+    mask = np.ma.nomask if nodata is None or nodata != nodata else values == nodata
+    if values.dtype.kind in "fiu":
+        scale, offset = data.attrs.get("scale_factor", 1.0), data.attrs.get("add_offset", 0.0)
+        values = scaled(values, np.float64(scale).item(), np.float64(offset).item())
+    return np.ma.array(values, mask=mask)
 
 
 def _transform_of(data: Any, *, has_crs: bool) -> Affine:  # noqa: ANN401

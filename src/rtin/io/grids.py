@@ -18,7 +18,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from rtin._crs import as_crs
-from rtin._raster import NORTH_UP, moved, row_chunks
+from rtin._raster import NORTH_UP, moved, row_chunks, scaled
 from rtin.grid import Grid
 
 if TYPE_CHECKING:
@@ -228,8 +228,8 @@ def _is_short_raw_file(dataset: Any) -> bool:  # noqa: ANN401
     if header.get("file_compression") == "1" or "NBITS" in dataset.tags(1, ns="IMAGE_STRUCTURE"):
         return False
     bytes_per_cell = sum(np.dtype(dtype).itemsize for dtype in dataset.dtypes)
-    n_bytes = int(header.get("header_offset", 0)) + dataset.height * dataset.width * bytes_per_cell
-    return Path(dataset.files[0]).stat().st_size < n_bytes
+    n_bytes: int = dataset.height * dataset.width * bytes_per_cell
+    return Path(dataset.files[0]).stat().st_size < n_bytes + int(header.get("header_offset", 0))
 
 
 def _unreadable(name: str, error: Exception) -> OSError:
@@ -317,7 +317,8 @@ def _read_band(dataset: Any, name: str, part: Part, band: int) -> Heights:  # no
     _make_void(values, dataset.nodatavals[band - 1], _hidden(dataset, part, band))
     if dtype.kind in "iu" and dtype.itemsize == 8:
         _require_exact(values, name)
-    return _scaled(values, dataset.scales[band - 1], dataset.offsets[band - 1])
+    out = values if values.dtype == np.float32 else None
+    return scaled(values, dataset.scales[band - 1], dataset.offsets[band - 1], out=out)
 
 
 def _require_exact(values: Heights, name: str) -> None:
@@ -356,17 +357,6 @@ def _make_void(values: Heights, nodata: float | None, hidden: NDArray[np.bool_] 
         np.copyto(values[rows], np.nan, where=values[rows] == nodata)
 
 
-def _scaled(values: Heights, scale: float, offset: float) -> Heights:
-    """Return ``values * scale + offset``, computed in float64 and rounded to float32."""
-    if scale == 1.0 and offset == 0.0:
-        return values
-    heights = values if values.dtype == np.float32 else np.empty(values.shape, np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for rows in row_chunks(values.shape):
-            heights[rows] = values[rows].astype(np.float64) * scale + offset
-    return heights
-
-
 def _is_coloured(dataset: Any) -> bool:  # noqa: ANN401
     bands = dataset.count
     return set(dataset.dtypes) == {"uint8"} and (bands in (3, 4) or _has_palette(dataset))
@@ -398,7 +388,7 @@ def _read_colours(
     _require_memory(part, 4 + 3 + 2, name)
     codes = _read_codes(dataset, part)
     scale, offset = _SCALE_AND_OFFSET[encoding or _plausible_encoding(codes, name)]
-    return _scaled(codes, scale, offset)
+    return scaled(codes, scale, offset, out=codes)
 
 
 def _read_codes(dataset: Any, part: Part) -> NDArray[np.float32]:  # noqa: ANN401
