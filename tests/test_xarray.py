@@ -160,6 +160,13 @@ def test_scale_offset_and_fill_need_no_rioxarray(tmp_path):
     assert run.stdout == "[[10.5, 11.0], [11.5, nan]]\n"
 
 
+@pytest.mark.parametrize("other", [HEIGHTS, None, "dem.tif", xarray.Dataset({"z": ("x", [1.0])})])
+def test_what_is_no_data_array_is_refused(other):
+    with pytest.raises(TypeError, match=r"an xarray\.DataArray is wanted, got a") as error:
+        Grid.from_xarray(other)
+    assert "\n" not in str(error.value)
+
+
 def test_the_accessor_makes_the_same_mesh_as_the_function(array):
     direct = rtin.coarsen(Grid.from_xarray(array), max_error=2.0)
     mesh = array.rtin.coarsen(max_error=2.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -103,7 +104,10 @@ class Grid:
         ValueError
             If there are not two dimensions, a coordinate is not evenly spaced, or there is a CRS
             but nothing that says where the array lies.
+        TypeError
+            If it is no DataArray, or its values are not real numbers.
         """
+        _require_data_array(data)
         data = data.squeeze(drop=True)
         if data.ndim != 2:
             raise ValueError(
@@ -204,6 +208,15 @@ def _as_transform(value: Any) -> Affine:  # noqa: ANN401
             f"got {tuple(transform)[:6]}"
         )
     return transform
+
+
+def _require_data_array(data: object) -> None:
+    xarray = sys.modules.get("xarray")  # where nobody has imported it, nothing is a DataArray
+    if xarray is None or not isinstance(data, xarray.DataArray):
+        raise TypeError(
+            f"an xarray.DataArray is wanted, got a {type(data).__name__}; "
+            "an array goes to Grid(), a Dataset must have one variable selected"
+        )
 
 
 def _unpacked(data: Any) -> NDArray[Any]:  # noqa: ANN401
