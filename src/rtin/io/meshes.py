@@ -58,7 +58,7 @@ def write_mesh(
     .ply      Binary, 64-bit: nothing is rounded.
     .vtu      VTK unstructured grid, .vtp VTK PolyData, 64-bit: nothing is rounded. They need
               PyVista: ``pip install "rtin[vtk]"``.
-    .obj      Text: rounded to 6 decimals, or to 9 digits where the mesh is less than 1000 wide.
+    .obj      Text, with as many digits as reading every number back exactly takes.
     .stl      Binary, 32-bit: rounded as .glb is. x and y count from the middle of the mesh; where
               that is in the world is lost, as is the CRS.
     .html     A page to turn the terrain in, for a browser without a network; not to be read back.
