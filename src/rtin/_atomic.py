@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     The new file lies in the same folder and has the same extension. Whatever ends the block early,
     an interrupt from the keyboard too, removes it and leaves the file at ``path`` as it was. A
     symbolic link is followed: the file it points to is replaced. Readers see the old file or the
-    new one, never a part; the new one has the permissions of any newly created file.
+    new one, never a part; the new one has the old one's permissions, or those of any newly created
+    file. Devices and pipes are refused: a file would take their place.
 
     Raises
     ------
@@ -31,6 +33,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     require_place(path)
     try:
         yield part
+        if target.exists():
+            part.chmod(stat.S_IMODE(target.stat().st_mode))
         part.replace(target)
     except OSError as error:
         raise _described(error, path) from error
@@ -59,6 +63,8 @@ def require_place(path: str | os.PathLike[str]) -> None:
         raise FileNotFoundError(f"{wanted}: there is no folder {target.parent}; make it first")
     if target.is_dir():
         raise IsADirectoryError(f"{wanted}: it is a folder; name a file in it")
+    if target.exists() and not target.is_file():
+        raise OSError(f"{wanted}: it is no regular file; name another")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise PermissionError(f"{wanted}: no permission to write in the folder {target.parent}")
 
