@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable
@@ -26,12 +28,20 @@ def _is_writable(folder: Path) -> bool:
         return False
 
 
-def _fallback_cache() -> str:
+def _fallback_cache() -> str | None:
     """Return a folder of this user's own for compiled kernels, for when Numba finds none.
 
     Compiled code is loaded from there again, so a folder that anybody else could write to (or
-    made before us) is not used: a fresh one, used by this process alone, takes its place.
+    made before us) is not used: a fresh one, which goes with this process, takes its place. None
+    where there is no place for temporary files either.
     """
+    try:
+        return _own_temporary_folder()
+    except OSError:
+        return None
+
+
+def _own_temporary_folder() -> str:
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
     folder = Path(tempfile.gettempdir()) / f"rtin-kernels-{user}"
     with contextlib.suppress(FileExistsError):
@@ -40,11 +50,13 @@ def _fallback_cache() -> str:
     own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
     if stat.S_ISDIR(status.st_mode) and own and not status.st_mode & 0o022:
         return str(folder)
-    return tempfile.mkdtemp(prefix="rtin-kernels-")
+    fresh = tempfile.mkdtemp(prefix="rtin-kernels-")
+    atexit.register(shutil.rmtree, fresh, ignore_errors=True)
+    return fresh
 
 
-def _cache_folder() -> str:
-    """Return the folder to impose on Numba, or "" where its own choice works."""
+def _cache_folder() -> str | None:
+    """Return the folder to impose on Numba, "" where its own choice works, None for no cache."""
     if config.CACHE_DIR:
         return config.CACHE_DIR if _is_writable(Path(config.CACHE_DIR)) else _fallback_cache()
     in_tree = Path(__file__).parent / "__pycache__"
@@ -59,7 +71,9 @@ _CACHE_FOLDER = _cache_folder()
 
 
 def jit(function: Callable[..., Any]) -> Any:
-    """Compile a kernel on first use, without the GIL, and keep the result on disk."""
+    """Compile a kernel on first use, without the GIL, and keep the result on disk if possible."""
+    if _CACHE_FOLDER is None:
+        return numba.njit(nogil=True)(function)
     before = config.CACHE_DIR
     config.CACHE_DIR = _CACHE_FOLDER or before
     try:
@@ -72,6 +86,8 @@ def compiled_before(kernel: Any) -> bool:
     """Return whether the compiled code of ``kernel`` lies on disk, for any argument types."""
     if config.DISABLE_JIT:
         return True
+    if _CACHE_FOLDER is None:
+        return False
     folder = Path(kernel._cache.cache_path)
     name = f"{kernel.py_func.__qualname__}-{kernel.py_func.__code__.co_firstlineno}"
     return any(folder.glob(f"*.{name}.*.nbi"))
