@@ -1,17 +1,17 @@
 """The command line, as its users meet it."""
 
 import json
+import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import rtin
 from rtin import cli, samples
-
-trimesh = pytest.importorskip("trimesh")
 
 
 @pytest.fixture
@@ -167,6 +167,12 @@ def test_plot_draws_a_mesh_over_its_raster(dem, tmp_path):
     assert (tmp_path / "mesh.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_plot_refuses_an_unknown_extension_before_it_reads(tmp_path):
+    result = run("plot", tmp_path / "missing.ply", tmp_path / "mesh.xyz")
+    assert result.exit_code == 2
+    assert ".png" in result.stderr
+
+
 def test_demo_leaves_three_files_to_look_at(tmp_path):
     result = run("demo", tmp_path / "demo", "--json")
     assert result.exit_code == 0, result.output
@@ -186,10 +192,67 @@ def test_progress_is_told_on_stderr_and_only_when_it_takes_long(dem, tmp_path, m
     assert json.loads(told.stdout)
 
 
-def test_a_closed_pipe_leaves_no_traceback(dem):
-    command = f"{sys.executable} -m rtin info {dem} | true"
-    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert "Traceback" not in result.stderr
+@pytest.mark.parametrize(("target", "message"), [("| true", ""), ("> /dev/full", "stdout")])
+@pytest.mark.parametrize("command", ["info {dem}", "info {dem} --json", "--help"])
+def test_a_summary_that_nobody_takes_is_a_failure_of_one_line(dem, command, target, message):
+    command = (
+        f"{sys.executable} -m rtin {command.format(dem=dem)} {target}; exit ${{PIPESTATUS[0]}}"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    result = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, check=False, env=environment
+    )
+    assert result.returncode == 1
+    assert message in result.stderr
+    assert result.stderr.count("\n") == (1 if message else 0), result.stderr
+
+
+def test_the_raster_itself_is_no_output(dem, tmp_path):
+    link = tmp_path / "out.ply"
+    link.symlink_to(dem)
+    before = dem.read_bytes()
+    result = run("coarsen", dem, link, "--max-error", 5)
+    assert result.exit_code == 2
+    assert "must not be the raster itself" in result.stderr
+    assert dem.read_bytes() == before
+
+
+def test_an_absurd_budget_is_no_traceback(dem, tmp_path):
+    result = run("coarsen", dem, tmp_path / "out.glb", "--max-triangles", 10**20, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["achieved"]["max_error"] == 0
+
+
+def test_json_holds_no_infinite_number(dem, tmp_path):
+    result = run("coarsen", dem, tmp_path / "out.glb", "--max-error", "inf", "--json")
+    assert json.loads(result.stdout)["asked"] == {"max_error": None}
+    assert "Infinity" not in result.stdout
+
+
+def test_an_unexpected_failure_is_one_line_too(dem, tmp_path, monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("rtin.io.grids.read_grid", fail)
+    result = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 5)
+    assert (result.exit_code, result.stderr) == (1, "rtin: ZeroDivisionError: division by zero\n")
+
+
+def test_coarsen_points_out_undeclared_nodata_and_a_missing_crs(tmp_path):
+    heights = np.random.default_rng(0).random((9, 9)).astype(np.float32)
+    heights[4, 4] = -9999
+    np.save(tmp_path / "dem.npy", heights)
+    options = ("--max-error", 1, "--json")
+    notes = json.loads(run("coarsen", tmp_path / "dem.npy", tmp_path / "o.glb", *options).stdout)
+    assert any("-9999 in 1 sample" in note for note in notes["notes"])
+    assert any("no CRS" in note for note in notes["notes"])
+
+
+def test_info_knows_a_solid(dem, tmp_path):
+    run("coarsen", dem, tmp_path / "solid.stl", "--max-error", 30, "--base", 10)
+    summary = json.loads(run("info", tmp_path / "solid.stl", "--json").stdout)
+    assert summary["solid"] is True
+    assert summary["complaints"] == []
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["coarsen", "--help"]])

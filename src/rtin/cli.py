@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import threading
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -75,7 +76,11 @@ _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this."
 
 def main() -> None:
     """Run the ``rtin`` program."""
-    app()
+    try:
+        app()
+    except OSError as error:  # of the help text itself: no space is left for it
+        _give_up(error)
+        sys.exit(1)
 
 
 @app.callback(invoke_without_command=True)
@@ -116,7 +121,7 @@ def coarsen(
     ] = False,
     as_json: _Json = False,
 ) -> None:
-    """Coarsen a raster to a mesh within a tolerance or a budget."""
+    """Coarsen a raster to a mesh."""
     asked = _the_only_option(
         max_error=max_error,
         max_vertices=max_vertices,
@@ -128,7 +133,7 @@ def coarsen(
     with _one_line_errors():
         from rtin.io.meshes import placement_of, write_mesh
 
-        _require_writable(out)
+        _require_writable(out, dem)
         started = time.perf_counter()
         grid = _read_grid(dem, band, window, encoding)
         mesh, error = _coarsen_and_measure(grid, asked)
@@ -143,9 +148,8 @@ def coarsen(
             "bytes": out.stat().st_size,
             "seconds": round(time.perf_counter() - started, 3),
         }
-        note = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees).note
-        if note:
-            summary["note"] = note
+        placed = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees)
+        summary["notes"] = [*filter(None, [placed.note]), *_warnings_about(grid)]
         _report(summary, as_json)
 
 
@@ -156,7 +160,7 @@ def info(
     encoding: _Encoding = None,
     as_json: _Json = False,
 ) -> None:
-    """Say what a raster or a mesh holds, and what is suspicious about it."""
+    """Say what a raster or a mesh holds, and what is odd."""
     with _one_line_errors():
         from rtin.io.meshes import is_mesh_path
 
@@ -167,22 +171,30 @@ def info(
 @app.command()
 def plot(
     path: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh that rtin reads.")],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture: .png .pdf .svg .jpg.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Picture: .png .jpg .svg .pdf.")],
     dem: Annotated[
         Path | None, typer.Option(metavar="DEM", help="Raster to shade below the mesh.")
     ] = None,
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
 ) -> None:
-    """Draw a mesh from above, over the hillshade of its raster where that is given."""
+    """Draw a mesh from above, over its raster's hillshade."""
     with _one_line_errors():
         from rtin.io.meshes import read_mesh
-        from rtin.plotting import save_picture
+        from rtin.plotting import require_picture_path, save_picture
 
+        try:
+            require_picture_path(out)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
         with _progress(f"reading {path}"):
             mesh = read_mesh(path)
-        grid = None if dem is None else _read_grid(dem, 1, None, None)
+        grid = None if dem is None else _read_grid(dem, band, window, encoding)
         with _progress(f"drawing {out}"):
             save_picture(mesh, out, grid=grid)
-        _report({"input": str(path), "output": str(out), **_mesh_counts(mesh)}, as_json=False)
+        _report({"input": str(path), "output": str(out), **_mesh_counts(mesh)}, as_json)
 
 
 @app.command()
@@ -193,7 +205,7 @@ def demo(
     ] = 50.0,
     as_json: _Json = False,
 ) -> None:
-    """Coarsen a real DEM, the Jacksboro fault, into files to look at."""
+    """Coarsen a real DEM into files to look at."""
     asked = _the_only_option(max_error=max_error)
     with _one_line_errors():
         from rtin import samples
@@ -216,7 +228,7 @@ def demo(
             **_achieved(error),
             "seconds": round(time.perf_counter() - started, 3),
             "written": [str(path) for path in written],
-            "note": "heights are doubled in terrain.glb and terrain.html",
+            "notes": ["heights are doubled in terrain.glb and terrain.html"],
         }
         _report(summary, as_json)
 
@@ -238,18 +250,28 @@ def _read_grid(
 
 
 def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMesh, VerticalError]:
-    from rtin._kernels._jit import compiled_before
-    from rtin._kernels.coarsening import fill_triangles
-    from rtin.coarsening import coarsen
+    from rtin.coarsening import coarsen, is_compiled
     from rtin.criteria import vertical_error
 
-    if not compiled_before(fill_triangles):
+    if not is_compiled():
         _say("first run: compiling, which takes some 15 seconds, once for this machine")
     rows, cols = grid.shape
     with _progress(f"coarsening {rows} × {cols} samples"):
         mesh = coarsen(grid, **asked)
     with _progress("measuring the achieved error"):
         return mesh, vertical_error(mesh, grid)
+
+
+def _warnings_about(grid: Grid) -> list[str]:
+    """Return a line for each thing about a raster that its mesh will not show by itself."""
+    from rtin.io.grids import suspicious_values
+
+    notes = suspicious_values(grid)
+    if grid.crs is None:
+        notes.append("the raster has no CRS: x and y are taken to be in the unit of the heights")
+    elif grid.crs.to_epsg() == 3857:
+        notes.append("EPSG:3857 is not to scale: reproject the raster for true proportions")
+    return notes
 
 
 def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[str, Any]:
@@ -268,7 +290,7 @@ def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[st
         "lowest": float(np.nanmin(grid.heights)),
         "highest": float(np.nanmax(grid.heights)),
         "type": str(grid.heights.dtype),
-        "crs": None if grid.crs is None else grid.crs.to_string(),
+        "crs": _name_of(grid.crs),
         "transform": list(grid.transform)[:6],
         "suspicious": suspicious_values(grid),
     }
@@ -276,19 +298,28 @@ def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[st
 
 def _mesh_info(path: Path) -> dict[str, Any]:
     from rtin.io.meshes import read_mesh
-    from rtin.validity import complaints
+    from rtin.validity import complaints, is_closed
 
     with _progress(f"reading {path}"):
         mesh = read_mesh(path)
     low, high = mesh.bounds
+    solid = is_closed(mesh)
     return {
         "input": str(path),
         **_mesh_counts(mesh),
         "from": low.tolist(),
         "to": high.tolist(),
-        "crs": None if mesh.crs is None else mesh.crs.to_string(),
-        "complaints": complaints(mesh),
+        "crs": _name_of(mesh.crs),
+        "solid": solid,
+        "complaints": [] if solid else complaints(mesh),
     }
+
+
+def _name_of(crs: Any) -> str | None:  # noqa: ANN401  (pyproj is imported where needed)
+    if crs is None:
+        return None
+    authority = crs.to_authority()
+    return ":".join(authority) if authority else str(crs.name)
 
 
 def _mesh_counts(mesh: TriangleMesh) -> dict[str, int]:
@@ -330,10 +361,12 @@ def _require_positive(flag: str, value: float | None) -> None:
         raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
 
 
-def _require_writable(out: Path) -> None:
+def _require_writable(out: Path, dem: Path) -> None:
     """Refuse an output that can't be written before any work is done."""
     from rtin.io.meshes import require_writable
 
+    if out.exists() and dem.exists() and out.samefile(dem):
+        raise typer.BadParameter(f"OUT must not be the raster itself, got {out} for both")
     try:
         require_writable(out)
     except ValueError as error:
@@ -345,21 +378,32 @@ def _require_writable(out: Path) -> None:
 
 def _report(summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        print(json.dumps(summary))
+        print(json.dumps(_finite(summary), allow_nan=False), flush=True)
         return
     for name, value in summary.items():
-        if value is None or value == []:
-            continue
-        print(f"{name.replace('_', ' '):>18}  {_readable(value)}")
+        if value is not None and value is not False and value != []:
+            print(f"{name.replace('_', ' '):>18}  {_readable(value)}")
+    sys.stdout.flush()
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401
+    """Return the same with None for what JSON has no number for."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _readable(value: Any) -> str:  # noqa: ANN401
     if isinstance(value, dict):
         return ", ".join(f"{name.replace('_', ' ')} {_readable(v)}" for name, v in value.items())
     if isinstance(value, list):
-        return ", ".join(_readable(item) for item in value)
+        return (", " if isinstance(value[0], float) else "; ").join(map(_readable, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}" if abs(value) < 1e6 else f"{value:.2f}"
+        return f"{value:.6g}" if abs(value) < 1e6 else f"{value:.10g}"
     if isinstance(value, int):
         return f"{value:,}".replace(",", " ")
     return str(value)
@@ -371,14 +415,32 @@ def _say(message: str) -> None:
 
 @contextmanager
 def _progress(what: str) -> Iterator[None]:
-    """Say on stderr what is going on, once it has taken more than a second."""
-    timer = threading.Timer(_QUIET_SECONDS, _say, [f"{what} …"])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+    """Say on stderr what is going on, once it has taken more than a second.
+
+    On a terminal a spinner shows that it still does.
+    """
+    with ExitStack() as shown:
+        timer = threading.Timer(_QUIET_SECONDS, _show, [f"{what} …", shown])
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            timer.join()
+
+
+def _show(message: str, shown: ExitStack) -> None:
+    if not sys.stderr.isatty():
+        _say(message)
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
+    shown.enter_context(progress)
+    progress.add_task(f"rtin: {message}", total=None)
 
 
 @contextmanager
@@ -388,18 +450,30 @@ def _one_line_errors() -> Iterator[None]:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: _say(_one_line(message))
             yield
-    except BrokenPipeError:
-        # Whoever read our output has gone; Python would complain again while closing it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(1) from None
-    except (OSError, ValueError, TypeError, MemoryError, ImportError) as error:
+    except (typer.Exit, typer.BadParameter):
+        raise
+    except Exception as error:
         if os.environ.get("RTIN_DEBUG"):
             raise
-        _say(_one_line(error))
+        _give_up(error)
         raise typer.Exit(1) from None
+
+
+def _give_up(error: Exception) -> None:
+    """Say what failed, and let go of a stdout that can't be written to.
+
+    Python would complain of it again when it ends. That nobody reads on (``| head``) is no news.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if not isinstance(error, BrokenPipeError):
+        expected = isinstance(error, OSError | ValueError | TypeError | MemoryError | ImportError)
+        _say(_one_line(error) if expected else f"{type(error).__name__}: {_one_line(error)}")
 
 
 def _one_line(error: BaseException | str) -> str:
-    if isinstance(error, OSError) and error.strerror and error.filename:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'cannot write to stdout'}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__

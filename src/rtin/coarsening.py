@@ -28,7 +28,7 @@ from rtin.criteria import lattice_size, require_grid
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 
-__all__ = ["coarsen", "coarsen_levels"]
+__all__ = ["coarsen", "coarsen_levels", "is_compiled"]
 
 _Kept = NDArray[np.uint8]
 _Items = NDArray[np.int64]
@@ -153,6 +153,14 @@ def coarsen_levels(
         starts = [_settle(grid, kept, shares, (tolerance, None), remembers) for shares in starts]
         meshes[tolerance] = _mesh_of(grid, kept)
     return [meshes[tolerance] for tolerance in tolerances]
+
+
+def is_compiled() -> bool:
+    """Return whether compiled kernels lie on disk: the first call on a machine takes longer."""
+    from rtin._kernels._jit import compiled_before
+    from rtin._kernels.coarsening import fill_triangles
+
+    return compiled_before(fill_triangles)
 
 
 # --- the families -------------------------------------------------------------------------------
