@@ -72,7 +72,7 @@ def coarsen(
     threshold : float
         The paper's criterion: vertices with E(v) < threshold (``vertex_errors``) are removed where
         the mesh stays conforming. *No promise on the surface*: Eq. (1) is local, and the largest
-        error on real terrain is 1.4 to 2 times the threshold.
+        error on real terrain is up to 2.3 times the threshold.
     removable : array_like of bool, shape (rows, cols)
         The paper's matrix C: True where a vertex is to be removed if the mesh stays conforming.
     keep : array_like of bool, shape (rows, cols), optional
