@@ -48,6 +48,18 @@ def test_counts_and_bounds():
     assert repr(mesh) == "<TriangleMesh 4 vertices, 2 triangles, EPSG:2056>"
 
 
+def test_lists_each_edge_once_with_the_smaller_number_first():
+    mesh = TriangleMesh(SQUARE, [[2, 0, 1], [0, 2, 3]])
+    assert mesh.edges().tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
+    assert TriangleMesh(SQUARE, np.empty((0, 3), int)).edges().shape == (0, 2)
+    assert TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int)).edges().shape == (0, 2)
+
+
+def test_a_mesh_without_vertices_has_no_bounds():
+    with pytest.raises(ValueError, match="a mesh with vertices is wanted for its bounds"):
+        _ = TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int)).bounds
+
+
 def test_areas_are_exact_far_from_the_origin():
     vertices = np.array(SQUARE) + np.array([5e6, 5e6, 0])
     assert TriangleMesh(vertices, [[0, 1, 2], [0, 2, 1]]).signed_areas().tolist() == [1, -1]

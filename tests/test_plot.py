@@ -9,7 +9,7 @@ from hand_meshes import bumpy, in_degrees, in_utm, with_hole
 from rtin import plotting
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
-from rtin.plotting import plot, save_picture
+from rtin.plotting import plot, require_picture_path, save_picture
 
 
 def axes():
@@ -166,6 +166,15 @@ def test_saves_pictures_in_the_format_of_the_extension(suffix, tmp_path):
 def test_saving_names_the_extensions_it_knows(tmp_path):
     with pytest.raises(ValueError, match=r"\.pdf.*\.png.*got '\.glb' in"):
         save_picture(bumpy(), tmp_path / "mesh.glb")
+
+
+def test_what_is_wrong_with_a_path_is_told_before_the_work(tmp_path):
+    require_picture_path(tmp_path / "mesh.PNG")
+    with pytest.raises(ValueError, match=r"\.pdf.*\.png.*got 'none' in"):
+        require_picture_path(tmp_path / "mesh")
+    with pytest.raises(FileNotFoundError, match="make it first"):
+        require_picture_path(tmp_path / "nowhere" / "mesh.png")
+    assert not list(tmp_path.iterdir())
 
 
 def test_saving_leaves_pyplot_alone(tmp_path):

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin._crs import as_crs
+from rtin._edges import directed_edges, edge_ends, undirected_keys
 
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = ["TriangleMesh"]
+__all__ = ["TriangleMesh", "require_mesh"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -94,8 +95,16 @@ class TriangleMesh:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """Smallest and largest x, y and z, shape (2, 3)."""
+        """Smallest and largest x, y and z, shape (2, 3); a ValueError without any vertices."""
+        if self.n_vertices == 0:
+            raise ValueError("a mesh with vertices is wanted for its bounds, got one without any")
         return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    def edges(self) -> NDArray[np.int64]:
+        """Return the two vertices of each edge once, shape (n, 2): the smaller first, ascending."""
+        # Sorted here: NumPy 2.3 and later hash in np.unique, which takes five times as long.
+        keys = np.sort(undirected_keys(*directed_edges(self.triangles), self.n_vertices))
+        return edge_ends(keys[np.diff(keys, prepend=-1) > 0], self.n_vertices)
 
     def signed_areas(self) -> NDArray[np.float64]:
         """Return each triangle's area in the xy plane, positive where counter-clockwise."""
@@ -107,6 +116,13 @@ class TriangleMesh:
     def __repr__(self) -> str:
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]
         return f"<TriangleMesh {self.n_vertices} vertices, {self.n_triangles} triangles, {crs}>"
+
+
+def require_mesh(mesh: TriangleMesh) -> TriangleMesh:
+    """Return ``mesh``; raise TypeError where it is something else."""
+    if not isinstance(mesh, TriangleMesh):
+        raise TypeError(f"a TriangleMesh is wanted, got {type(mesh).__name__}")
+    return mesh
 
 
 def _as_vertices(values: ArrayLike) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin import _tint
-from rtin._atomic import write_bytes
+from rtin._atomic import require_place, write_bytes
 from rtin._crs import metres_per_unit
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pyproj
     from matplotlib.axes import Axes
 
-__all__ = ["plot", "save_picture"]
+__all__ = ["plot", "require_picture_path", "save_picture"]
 
 _Floats = NDArray[np.float64]
 
@@ -113,19 +113,40 @@ def save_picture(
     """
     from matplotlib.figure import Figure
 
+    suffix = _known_suffix(path)
     figure = Figure(figsize=_size(mesh), layout="constrained")
-    suffix = Path(path).suffix.lower()
-    known = figure.canvas.get_supported_filetypes()
-    if suffix[1:] not in known:
-        raise ValueError(
-            f"the extension must be one of {', '.join(f'.{name}' for name in sorted(known))}, "
-            f"got {suffix or 'none'!r} in {os.fspath(path)}"
-        )
     ax = plot(mesh, grid=grid, ax=figure.add_subplot(), line_width=line_width)
     ax.set_title(f"{mesh.n_triangles:,} triangles, {mesh.n_vertices:,} vertices", fontsize=10)
     picture = io.BytesIO()
     figure.savefig(picture, format=suffix[1:], dpi=dots_per_inch)
     write_bytes(path, picture.getbuffer())
+
+
+def require_picture_path(path: str | os.PathLike[str]) -> None:
+    """Raise now what ``save_picture`` would raise because of ``path``, before the work is done.
+
+    Raises
+    ------
+    ValueError
+        If matplotlib does not know the extension.
+    OSError
+        If the folder does not exist or may not be written to, or ``path`` is a folder.
+    """
+    _known_suffix(path)
+    require_place(path)
+
+
+def _known_suffix(path: str | os.PathLike[str]) -> str:
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    suffix = Path(path).suffix.lower()
+    known = FigureCanvasBase.get_supported_filetypes()
+    if suffix[1:] not in known:
+        raise ValueError(
+            f"the extension must be one of {', '.join(f'.{name}' for name in sorted(known))}, "
+            f"got {suffix or 'none'!r} in {os.fspath(path)}"
+        )
+    return suffix
 
 
 def _size(mesh: TriangleMesh) -> tuple[float, float]:
@@ -205,7 +226,7 @@ def _draw_edges(ax: Axes, mesh: TriangleMesh, line_width: float | None) -> None:
         line_width = float(np.clip(40.0 / np.sqrt(mesh.n_triangles), 0.08, 0.6))
     if line_width == 0.0:
         return
-    edges = _edges(mesh)
+    edges = mesh.edges()
     points = np.full((len(edges), 3, 2), np.nan)
     points[:, :2] = mesh.vertices[edges, :2]
     ax.plot(
@@ -215,16 +236,6 @@ def _draw_edges(ax: Axes, mesh: TriangleMesh, line_width: float | None) -> None:
         rasterized=mesh.n_triangles > _RASTERISED_FROM,
         zorder=1,
     )
-
-
-def _edges(mesh: TriangleMesh) -> NDArray[np.int64]:
-    """Return each edge's two vertices, shape (n, 2), the smaller number first."""
-    start = mesh.triangles.ravel().astype(np.int64)
-    end = np.roll(mesh.triangles, -1, axis=1).ravel()
-    # Sorted here: NumPy 2.3 and later hash in np.unique, which takes five times as long.
-    keys = np.sort(np.minimum(start, end) * mesh.n_vertices + np.maximum(start, end))
-    keys = keys[np.append(True, keys[1:] != keys[:-1])]
-    return np.column_stack(np.divmod(keys, mesh.n_vertices))
 
 
 def _dress(ax: Axes, mesh: TriangleMesh, x_to_y: float) -> None:

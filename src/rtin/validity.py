@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.mesh import TriangleMesh
+from rtin._edges import directed_edges, edge_ends, undirected_keys
+from rtin.mesh import TriangleMesh, require_mesh
 
 __all__ = ["InvalidMesh", "check", "complaints"]
 
@@ -67,9 +68,7 @@ def complaints(mesh: TriangleMesh) -> list[str]:
 
 
 def _complaints(mesh: TriangleMesh) -> Iterator[_Complaint]:
-    if not isinstance(mesh, TriangleMesh):
-        raise TypeError(f"a TriangleMesh is wanted, got {type(mesh).__name__}")
-    examined = _examined(mesh)
+    examined = _examined(require_mesh(mesh))
     for find in _FINDERS:
         complaint = find(examined)
         if complaint is not None:
@@ -121,14 +120,13 @@ def _turns(mesh: TriangleMesh) -> NDArray[np.int8]:
 def _edges(mesh: TriangleMesh, repeats: NDArray[np.bool_], turns: NDArray[np.int8]) -> _Edges:
     """Return the sides of triangles of three distinct vertices."""
     sound = np.flatnonzero(~repeats)
-    corners = mesh.triangles[sound].astype(np.int64)
-    tails, heads = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    keys = np.minimum(tails, heads) * mesh.n_vertices + np.maximum(tails, heads)
+    tails, heads = directed_edges(mesh.triangles[sound])
+    keys = undirected_keys(tails, heads, mesh.n_vertices)
     order = np.argsort(keys, kind="stable")
     starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     turns_of_sides = np.repeat(turns[sound], 3)
     return _Edges(
-        ends=np.column_stack(np.divmod(keys[order], max(1, mesh.n_vertices))),
+        ends=edge_ends(keys[order], mesh.n_vertices),
         triangles=np.repeat(sound, 3)[order],
         sides=np.where(tails < heads, turns_of_sides, -turns_of_sides)[order],
         first=starts,

@@ -104,7 +104,7 @@ def write_mesh(
 
 def placement_of(
     mesh: TriangleMesh,
-    path: str | os.PathLike[str] = "any.glb",
+    path: str | os.PathLike[str],
     *,
     z_scale: float = 1.0,
     keep_degrees: bool = False,

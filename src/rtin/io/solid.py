@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin._edges import directed_edges, edge_keys
 from rtin.mesh import TriangleMesh
 
 __all__ = ["close"]
@@ -65,25 +66,16 @@ def _check(mesh: TriangleMesh, base: float) -> None:
             "a solid needs triangles that are counter-clockwise from above, got others too; "
             "TriangleMesh.from_triangles turns them"
         )
-    keys = np.sort(_keys(*_half_edges(mesh.triangles), mesh.n_vertices))
+    keys = np.sort(edge_keys(*directed_edges(mesh.triangles), mesh.n_vertices))
     if (keys[1:] == keys[:-1]).any():
         raise ValueError("a solid needs at most two triangles at each edge, got more at some")
 
 
-def _half_edges(corners: _Ints) -> tuple[_Ints, _Ints]:
-    """Return start and end of every triangle's three directed edges; edge h starts at corner h."""
-    return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-
-
-def _keys(start: _Ints, end: _Ints, n_vertices: int) -> NDArray[np.int64]:
-    return start.astype(np.int64) * n_vertices + end
-
-
 def _boundary(corners: _Ints, n_vertices: int) -> NDArray[np.intp]:
     """Return the numbers of the half edges that have a triangle on their left only."""
-    start, end = _half_edges(corners)
-    keys = np.sort(_keys(start, end, n_vertices))
-    return np.flatnonzero(_find(keys, _keys(end, start, n_vertices)) < 0)
+    start, end = directed_edges(corners)
+    keys = np.sort(edge_keys(start, end, n_vertices))
+    return np.flatnonzero(_find(keys, edge_keys(end, start, n_vertices)) < 0)
 
 
 def _find(ordered: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -102,7 +94,7 @@ def _walls(corners: _Ints, n_top: int) -> _Ints:
         below ─ below
     """
     half_edges = _boundary(corners, n_top)
-    start, end = (ends[half_edges] for ends in _half_edges(corners))
+    start, end = (ends[half_edges] for ends in directed_edges(corners))
     upper = np.column_stack([end, start, start + n_top])
     lower = np.column_stack([end, start + n_top, end + n_top])
     return np.stack([upper, lower], axis=1).reshape(-1, 3)
@@ -114,7 +106,7 @@ def _split_pinches(mesh: TriangleMesh) -> tuple[NDArray[np.float64], _Ints]:
     if firsts.size == 0:
         return mesh.vertices, mesh.triangles
     fans, half_edges, lasts = _walk_fans(mesh, firsts)
-    pivots, nexts = (ends[firsts] for ends in _half_edges(mesh.triangles))
+    pivots, nexts = (ends[firsts] for ends in directed_edges(mesh.triangles))
     copies = _numbers_of_copies(pivots, mesh.n_vertices)
     corners = mesh.triangles.copy()
     corners.ravel()[half_edges] = copies[fans]
@@ -141,8 +133,8 @@ def _walk_fans(
 
     Returns the fan and the half edge of each step, and the last vertex around each fan.
     """
-    start, end = _half_edges(mesh.triangles)
-    keys = _keys(start, end, mesh.n_vertices)
+    start, end = directed_edges(mesh.triangles)
+    keys = edge_keys(start, end, mesh.n_vertices)
     order = np.argsort(keys)
     keys = keys[order]
     lasts = np.empty(len(firsts), dtype=start.dtype)
@@ -152,7 +144,7 @@ def _walk_fans(
         steps.append((fans, half_edges))
         third = start[half_edges - half_edges % 3 + (half_edges + 2) % 3]
         lasts[fans] = third
-        found = _find(keys, _keys(start[half_edges], third, mesh.n_vertices))
+        found = _find(keys, edge_keys(start[half_edges], third, mesh.n_vertices))
         fans, half_edges = fans[found >= 0], order[found[found >= 0]]
     all_fans, all_half_edges = (np.concatenate(part) for part in zip(*steps, strict=True))
     return all_fans, all_half_edges, lasts
