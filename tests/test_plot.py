@@ -150,6 +150,16 @@ def test_flat_meshes_and_thin_ones_can_be_drawn(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"flat.png", "thin.png"}
 
 
+def test_refuses_what_is_no_mesh_or_no_grid(tmp_path):
+    grid = Grid(np.zeros((3, 3)))
+    with pytest.raises(TypeError, match=r"^a TriangleMesh is wanted, got Grid$"):
+        plot(grid)
+    with pytest.raises(TypeError, match=r"^a TriangleMesh is wanted, got Grid$"):
+        save_picture(grid, tmp_path / "mesh.png")
+    with pytest.raises(TypeError, match=r"^a Grid is wanted for the relief, got ndarray$"):
+        plot(bumpy(), grid=grid.heights, ax=axes())
+
+
 def test_refuses_a_mesh_without_triangles():
     with pytest.raises(ValueError, match="without any"):
         plot(TriangleMesh([[0, 0, 0]], np.empty((0, 3), int)), ax=axes())

@@ -127,6 +127,13 @@ def test_refuses_a_base_that_is_not_more_than_zero(base):
         close(bumpy(), base)
 
 
+def test_refuses_what_is_no_mesh_or_no_number():
+    with pytest.raises(TypeError, match=r"^a TriangleMesh is wanted, got ndarray$"):
+        close(bumpy().vertices, 1.0)
+    with pytest.raises(TypeError, match=r"^base must be a number, got '2'$"):
+        close(bumpy(), "2")
+
+
 def test_refuses_a_mesh_without_triangles():
     with pytest.raises(ValueError, match="without any"):
         close(TriangleMesh([[0, 0, 0]], np.empty((0, 3), int)), 1.0)

@@ -5,6 +5,7 @@ import signal
 import stat
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 
 from hand_meshes import bumpy, in_degrees, in_utm, touching_at_a_point, with_hole
 from rtin._atomic import replacing, write_bytes
+from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.io.meshes import (
     is_mesh_path,
@@ -386,6 +388,49 @@ def test_extensions_may_be_in_capitals(suffix, tmp_path):
 def test_a_z_scale_that_is_not_more_than_zero_is_refused(z_scale, tmp_path):
     with pytest.raises(ValueError, match="z_scale must be more than zero"):
         write_mesh(bumpy(), tmp_path / "mesh.glb", z_scale=z_scale)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".stl", ".html"])
+@pytest.mark.parametrize("options", [{"z_scale": 1e38}, {"base": 1e39}])
+def test_numbers_that_32_bits_do_not_hold_are_refused(suffix, options, tmp_path):
+    with pytest.raises(
+        ValueError, match=r"32-bit .* up to 1e\+38, .* reaches [13]\.?\d*e\+\d\d$"
+    ) as caught:
+        write_mesh(in_utm(), tmp_path / f"mesh{suffix}", **options)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", WRITABLE)
+def test_numbers_that_64_bits_do_not_hold_are_refused(suffix, tmp_path):
+    with pytest.raises(ValueError, match="inf"):
+        write_mesh(in_utm(), tmp_path / f"mesh{suffix}", z_scale=1e308)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_mesh_is_refused(tmp_path):
+    grid = Grid([[0.0, 1.0], [2.0, 3.0]])
+    for write in (write_mesh, placement_of):
+        with pytest.raises(TypeError, match=r"^a TriangleMesh is wanted, got Grid$"):
+            write(grid, tmp_path / "mesh.glb")
+    with pytest.raises(TypeError, match=r"^a TriangleMesh is wanted, got str$"):
+        write_mesh("mesh.glb", bumpy())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["z_scale", "base"])
+@pytest.mark.parametrize("value", ["2", [1.0, 2.0], True, 1j, b"2"])
+def test_options_that_are_no_numbers_are_refused(name, value, tmp_path):
+    message = re.escape(f"{name} must be a number, got {value!r}")
+    with pytest.raises(TypeError, match=f"^{message}$"):
+        write_mesh(bumpy(), tmp_path / "mesh.glb", **{name: value})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [2, np.float32(2), np.int16(2), Fraction(2)])
+def test_numbers_of_any_kind_will_do(number, tmp_path):
+    back = round_trip(bumpy(), tmp_path / "mesh.ply", z_scale=number, base=number)
+    np.testing.assert_allclose(back.bounds[0, 2], bumpy().bounds[0, 2] - 1.0)
 
 
 def test_an_empty_mesh_and_infinite_vertices_are_refused(tmp_path):

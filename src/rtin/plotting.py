@@ -14,7 +14,7 @@ from rtin import _tint
 from rtin._atomic import require_place, write_bytes
 from rtin._crs import metres_per_unit
 from rtin.grid import Grid
-from rtin.mesh import TriangleMesh
+from rtin.mesh import TriangleMesh, require_mesh
 
 if TYPE_CHECKING:
     import pyproj
@@ -62,8 +62,12 @@ def plot(
     ------
     ValueError
         If the mesh has no triangles.
+    TypeError
+        If ``mesh`` is not a TriangleMesh or ``grid`` not a Grid.
     """
-    if mesh.n_triangles == 0:
+    if grid is not None and not isinstance(grid, Grid):
+        raise TypeError(f"a Grid is wanted for the relief, got {type(grid).__name__}")
+    if require_mesh(mesh).n_triangles == 0:
         raise ValueError("a mesh with triangles is wanted, got one without any")
     if ax is None:
         from matplotlib import pyplot as plt
@@ -114,7 +118,7 @@ def save_picture(
     from matplotlib.figure import Figure
 
     suffix = _known_suffix(path)
-    figure = Figure(figsize=_size(mesh), layout="constrained")
+    figure = Figure(figsize=_size(require_mesh(mesh)), layout="constrained")
     ax = plot(mesh, grid=grid, ax=figure.add_subplot(), line_width=line_width)
     ax.set_title(f"{mesh.n_triangles:,} triangles, {mesh.n_vertices:,} vertices", fontsize=10)
     picture = io.BytesIO()

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from rtin._atomic import require_place, write_bytes
 from rtin.io import _gltf, _polygons, _trimesh, _vtk, html
+from rtin.io._numbers import as_positive
 from rtin.io._placement import PlacedMesh, Placement, place, placement
-from rtin.mesh import TriangleMesh
+from rtin.mesh import TriangleMesh, require_mesh
 
 __all__ = [
     "Placement",
@@ -33,6 +34,9 @@ _ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
     ".vtp": _vtk.vtp,
     ".html": html.page,
 }
+_IN_32_BITS = (".glb", ".stl", ".html")
+# A third of what float32 holds, so that differences fit too.
+_LARGEST_32_BIT = 1e38
 _DECODERS = {
     suffix: _vtk.read if suffix.startswith(".vt") else _trimesh.read
     for suffix in _ENCODERS
@@ -90,16 +94,22 @@ def write_mesh(
     ------
     ValueError
         If the extension is unknown, the mesh has no triangle or a vertex that is not finite,
-        ``z_scale`` or ``base`` is out of range, or no solid can be made.
+        ``z_scale`` or ``base`` is out of range or makes numbers that are too large for the format,
+        or no solid can be made.
+    TypeError
+        If ``mesh`` is not a TriangleMesh, or ``z_scale`` or ``base`` not a number.
     ImportError
         If the format needs PyVista and that is not installed.
     OSError
         If the file cannot be written. What was there before is still there.
     """
+    _check(mesh)
     suffix = _known_suffix(path, _ENCODERS)
-    _check(mesh, z_scale)
     placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
-    write_bytes(path, _ENCODERS[suffix](place(mesh, placed, base)))
+    with np.errstate(over="ignore"):
+        shape = place(mesh, placed, base)
+    _check_range(shape.vertices, suffix)
+    write_bytes(path, _ENCODERS[suffix](shape))
 
 
 def placement_of(
@@ -123,8 +133,12 @@ def placement_of(
     Raises
     ------
     ValueError
-        If the extension of ``path`` is unknown.
+        If the extension of ``path`` is unknown or ``z_scale`` not more than zero.
+    TypeError
+        If ``mesh`` is not a TriangleMesh or ``z_scale`` not a number.
     """
+    require_mesh(mesh)
+    z_scale = as_positive("z_scale", z_scale)
     centred = _known_suffix(path, _ENCODERS) == ".stl"
     return placement(mesh, z_scale=z_scale, keep_degrees=keep_degrees, centred=centred)
 
@@ -225,10 +239,18 @@ def _known_suffix(path: str | os.PathLike[str], known: dict[str, Any]) -> str:
     return suffix
 
 
-def _check(mesh: TriangleMesh, z_scale: float) -> None:
-    if mesh.n_triangles == 0:
+def _check(mesh: TriangleMesh) -> None:
+    if require_mesh(mesh).n_triangles == 0:
         raise ValueError("a mesh with triangles is wanted, got one without any")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("vertices must be finite, got some that are not")
-    if not (np.isfinite(z_scale) and z_scale > 0.0):
-        raise ValueError(f"z_scale must be more than zero, got {z_scale}")
+
+
+def _check_range(points: NDArray[np.float64], suffix: str) -> None:
+    bits, limit = (32, _LARGEST_32_BIT) if suffix in _IN_32_BITS else (64, np.finfo(float).max)
+    largest = max(points.max(), -points.min())
+    if largest > limit:
+        raise ValueError(
+            f"the {bits}-bit numbers of {suffix} are wanted up to {limit:.2g}, "
+            f"but as scaled the mesh reaches {largest:.2g}"
+        )

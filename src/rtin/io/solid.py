@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._edges import directed_edges, edge_keys
-from rtin.mesh import TriangleMesh
+from rtin.io._numbers import as_positive
+from rtin.mesh import TriangleMesh, require_mesh
 
 __all__ = ["close"]
 
@@ -46,8 +47,11 @@ def close(mesh: TriangleMesh, base: float) -> TriangleMesh:
     ValueError
         If base is not more than zero, there are no triangles, a triangle is not
         counter-clockwise from above, or more than two triangles meet at an edge.
+    TypeError
+        If ``mesh`` is not a TriangleMesh or ``base`` not a number.
     """
-    _check(mesh, base)
+    base = as_positive("base", base, ", in the unit of z")
+    _check(require_mesh(mesh))
     top, corners = _split_pinches(mesh)
     bottom = top.copy()
     bottom[:, 2] = top[corners, 2].min() - base
@@ -56,9 +60,7 @@ def close(mesh: TriangleMesh, base: float) -> TriangleMesh:
     return TriangleMesh(np.concatenate([top, bottom]), triangles, mesh.crs)
 
 
-def _check(mesh: TriangleMesh, base: float) -> None:
-    if not (np.isfinite(base) and base > 0.0):
-        raise ValueError(f"base must be more than zero, in the unit of z, got {base}")
+def _check(mesh: TriangleMesh) -> None:
     if mesh.n_triangles == 0:
         raise ValueError("a mesh with triangles is wanted for a solid, got one without any")
     if not (mesh.signed_areas() > 0.0).all():
