@@ -299,6 +299,22 @@ def test_placement_says_what_happens_to_degrees():
     )
 
 
+ROTATED_POLE = "+proj=ob_tran +o_proj=longlat +o_lon_p=-162 +o_lat_p=39.25 +lon_0=180 +R=6371229"
+
+
+def test_placement_names_no_place_on_a_globe_that_is_turned():
+    mesh = bumpy(31, 41, crs=ROTATED_POLE, west=1.0, north=2.0, step=0.01)
+    assert placement_of(mesh, "a.glb").note == (
+        "x and y scaled from degrees to metres around x = 1.2, y = 1.85 of the CRS"
+    )
+
+
+@pytest.mark.parametrize("suffix", WITH_CRS)
+def test_a_crs_on_a_globe_that_is_turned_is_kept(suffix, tmp_path):
+    mesh = bumpy(crs=ROTATED_POLE, west=1.0, north=2.0, step=0.01)
+    assert round_trip(mesh, tmp_path / f"mesh{suffix}").crs == mesh.crs
+
+
 def test_placement_says_nothing_where_nothing_happens():
     assert placement_of(in_utm(), "a.glb").note == ""
     assert placement_of(in_degrees(), "a.obj", keep_degrees=True).note == ""

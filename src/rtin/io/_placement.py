@@ -33,7 +33,7 @@ class Placement:
         File units per unit of the world, for x, y and z; none is zero.
     crs : str or None
         The world's coordinate reference system: ``"EPSG:4326"`` or the like where an authority
-        lists it, WKT2 otherwise.
+        lists it, otherwise WKT2, or PROJJSON where WKT2 would not give it back.
     note : str
         What was done, in one line for people; empty if x and y are as in the mesh.
     """
@@ -178,8 +178,10 @@ def _in_metres(
     longitude, latitude = _round_centre(mesh)
     metres_east, metres_north = metres_per_unit(crs, latitude)
     degrees = float(np.degrees(radians_per_unit(crs)))
-    east = (longitude * degrees + 180.0) % 360.0 - 180.0
-    where = f"{_compass(latitude * degrees, 'NS')} {_compass(east, 'EW')}"
+    where = f"x = {longitude:.12g}, y = {latitude:.12g} of the CRS"
+    if not crs.is_derived:  # as one with a rotated pole is, whose x and y are no longitude of maps
+        east = (longitude * degrees + 180.0) % 360.0 - 180.0
+        where = f"{_compass(latitude * degrees, 'NS')} {_compass(east, 'EW')}"
     return Placement(
         (longitude, latitude, 0.0),
         (metres_east, metres_north, float(z_scale)),
@@ -207,10 +209,15 @@ def _triple(values: NDArray[np.float64]) -> _Triple:
 
 
 def _text_of(crs: pyproj.CRS) -> str:
-    """Return the short name of ``crs`` where that name means exactly this CRS, WKT2 otherwise."""
+    """Return the short name of ``crs`` if that means exactly this CRS; if not, WKT2 or PROJJSON.
+
+    A derived CRS, such as one with a rotated pole, may come out of its WKT as another one.
+    """
     authority = crs.to_authority(min_confidence=100)
-    if authority is not None:
-        name = ":".join(authority)
-        if as_crs(name) == crs:
-            return name
-    return crs.to_wkt()
+    names = [] if authority is None else [":".join(authority)]
+    wkt = crs.to_wkt()
+    for text in (*names, wkt):
+        if as_crs(text) == crs:
+            return text
+    json_text = crs.to_json()
+    return json_text if as_crs(json_text) == crs else wkt
