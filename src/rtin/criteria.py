@@ -14,26 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin.grid import Grid
+from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
-__all__ = ["VerticalError", "lattice_size", "require_grid", "vertex_errors", "vertical_error"]
+__all__ = ["VerticalError", "vertex_errors", "vertical_error"]
 
 _SNAP = 1e-6
-
-
-def lattice_size(shape: tuple[int, int]) -> int:
-    """Return 2**k, the cells along a side of the smallest lattice that covers a raster."""
-    return 1 << (max(shape) - 2).bit_length()
-
-
-def require_grid(grid: Grid) -> Grid:
-    """Return ``grid``; raise TypeError where it is something else."""
-    if not isinstance(grid, Grid):
-        raise TypeError(
-            f"a Grid is wanted, got {type(grid).__name__}: wrap heights in rtin.Grid(...)"
-        )
-    return grid
 
 
 def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
@@ -102,10 +88,7 @@ class VerticalError:
     @cached_property
     def field(self) -> NDArray[np.float64]:
         """The whole map of surface - sample, float64 of shape (rows, cols)."""
-        surfaces = _parallel.run(
-            _surface_of_band,
-            [(*_placed(self._mesh, self._grid), self._grid, band) for band in _bands(self._grid)],
-        )
+        surfaces = _parallel.run(_surface_of_band, _bands_of(self._mesh, self._grid))
         return np.asarray(np.concatenate(surfaces) - self._grid.heights)
 
     def __repr__(self) -> str:
@@ -132,8 +115,7 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     require_grid(grid)
     if not isinstance(mesh, TriangleMesh):
         raise TypeError(f"a TriangleMesh is wanted, got {type(mesh).__name__}")
-    placed = _placed(mesh, grid)
-    parts = _parallel.run(_statistics_of_band, [(*placed, grid, band) for band in _bands(grid)])
+    parts = _parallel.run(_statistics_of_band, _bands_of(mesh, grid))
     n_samples, n_uncovered = (sum(part[i] for part in parts) for i in (0, 1))
     total, total_of_squares = (sum(part[i] for part in parts) for i in (2, 3))
     worst = max(parts, key=lambda part: part[4])
@@ -152,15 +134,33 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     )
 
 
-_Placed = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+@dataclass(frozen=True)
+class _Band:
+    """Some rows of a grid, and the triangles of a mesh that reach into them."""
+
+    first_row: int
+    heights: NDArray[np.floating[Any]]
+    places: NDArray[np.float64]  # row and column of each vertex
+    z: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    members: NDArray[np.int32]
 
 
-def _bands(grid: Grid) -> list[tuple[int, int]]:
-    return _parallel.row_bands(grid.shape[0])
+def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
+    from rtin._kernels.criteria import triangles_by_band
+
+    places, z = _places(mesh, grid), np.ascontiguousarray(mesh.vertices[:, 2])
+    rows = _parallel.row_bands(grid.shape[0])
+    band_of_row = np.repeat(np.arange(len(rows)), [end - first for first, end in rows])
+    members, starts = triangles_by_band(places, mesh.triangles, band_of_row, len(rows))
+    return [
+        (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members[start:stop]),)
+        for (first, end), start, stop in zip(rows, starts, starts[1:], strict=False)
+    ]
 
 
-def _placed(mesh: TriangleMesh, grid: Grid) -> _Placed:
-    """Return row and column of each vertex, its height, and the triangles."""
+def _places(mesh: TriangleMesh, grid: Grid) -> NDArray[np.float64]:
+    """Return row and column of each vertex."""
     a, b, x0, d, e, y0 = tuple(grid.transform)[:6]
     # From the raster's own origin, so that large coordinates don't cost digits.
     x, y = mesh.vertices[:, 0] - x0, mesh.vertices[:, 1] - y0
@@ -169,34 +169,21 @@ def _placed(mesh: TriangleMesh, grid: Grid) -> _Placed:
     places[:, 0] = (a * y - d * x) / determinant
     places[:, 1] = (e * x - b * y) / determinant
     nearest = np.rint(places)
-    places = np.where(np.abs(places - nearest) < _SNAP, nearest, places)
-    return places, np.ascontiguousarray(mesh.vertices[:, 2]), mesh.triangles
+    return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
 
 
-def _surface_of_band(
-    places: NDArray[np.float64],
-    z: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    grid: Grid,
-    band: tuple[int, int],
-) -> NDArray[np.float64]:
+def _surface_of_band(band: _Band) -> NDArray[np.float64]:
     from rtin._kernels.criteria import fill_surface
 
-    first, end = band
-    surface = np.full((end - first, grid.shape[1]), np.nan)
-    fill_surface(places, z, triangles, first, surface)
+    surface = np.full(band.heights.shape, np.nan)
+    fill_surface(band.places, band.z, band.triangles, band.members, band.first_row, surface)
     return surface
 
 
-def _statistics_of_band(
-    places: NDArray[np.float64],
-    z: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    grid: Grid,
-    band: tuple[int, int],
-) -> tuple[Any, ...]:
+def _statistics_of_band(band: _Band) -> tuple[Any, ...]:
     from rtin._kernels.criteria import error_statistics
 
-    surface = _surface_of_band(places, z, triangles, grid, band)
-    statistics: tuple[Any, ...] = error_statistics(grid.heights, band[0], surface)
+    statistics: tuple[Any, ...] = error_statistics(
+        band.heights, band.first_row, _surface_of_band(band)
+    )
     return statistics

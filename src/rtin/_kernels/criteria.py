@@ -101,20 +101,53 @@ def columns_between(a_row, a_col, b_row, b_col, row, left, right):
 
 
 @jit
-def fill_surface(places, z, triangles, first_row, surface):
+def rows_covered(places, triangles, triangle, n_rows):
+    """First and last row of samples that a triangle may cover; first > last where there is none."""
+    a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    top = min(places[a, 0], places[b, 0], places[c, 0])
+    bottom = max(places[a, 0], places[b, 0], places[c, 0])
+    if not (bottom >= 0.0 and top <= n_rows - 1):
+        return 1, 0
+    return int(max(top, 0.0)), int(min(np.ceil(bottom), n_rows - 1))
+
+
+@jit
+def triangles_by_band(places, triangles, band_of_row, n_bands):
+    """Triangles that reach into each band of rows, and where each band's list starts."""
+    n_rows = band_of_row.size
+    starts = np.zeros(n_bands + 1, np.int64)
+    for triangle in range(triangles.shape[0]):
+        first, last = rows_covered(places, triangles, triangle, n_rows)
+        if first <= last:
+            for band in range(band_of_row[first], band_of_row[last] + 1):
+                starts[band + 1] += 1
+    for band in range(n_bands):
+        starts[band + 1] += starts[band]
+    ends = starts[:-1].copy()
+    members = np.empty(starts[n_bands], np.int32)
+    for triangle in range(triangles.shape[0]):
+        first, last = rows_covered(places, triangles, triangle, n_rows)
+        if first <= last:
+            for band in range(band_of_row[first], band_of_row[last] + 1):
+                members[ends[band]] = triangle
+                ends[band] += 1
+    return members, starts
+
+
+@jit
+def fill_surface(places, z, triangles, members, first_row, surface):
     """Write a mesh's height at each sample of some rows that it covers.
 
-    ``places`` holds row and column of each vertex. Samples within 1e-9 cells of a triangle count
-    as inside; on a shared edge the last triangle writes, whose plane agrees there.
+    ``places`` holds row and column of each vertex, ``members`` lists the triangles that reach into
+    these rows. Samples within 1e-9 cells of a triangle count as inside; on a shared edge the last
+    triangle writes, whose plane agrees there.
     """
     end_row = first_row + surface.shape[0]
     n_cols = surface.shape[1]
-    for triangle in range(triangles.shape[0]):
+    for triangle in members:
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
         a_row, b_row, c_row = places[a, 0], places[b, 0], places[c, 0]
         top, bottom = min(a_row, b_row, c_row), max(a_row, b_row, c_row)
-        if bottom < first_row or top > end_row - 1:
-            continue
         a_col, b_col, c_col = places[a, 1], places[b, 1], places[c, 1]
         determinant = (a_row - c_row) * (b_col - c_col) - (b_row - c_row) * (a_col - c_col)
         if determinant == 0.0:
@@ -138,13 +171,16 @@ def fill_surface(places, z, triangles, first_row, surface):
 
 @jit
 def error_statistics(heights, first_row, surface):
-    """Samples compared and uncovered, sums of |e| and e², largest |e| and its row and column."""
+    """Samples compared and uncovered, sums of |e| and e², largest |e| and its row and column.
+
+    ``heights`` and ``surface`` hold the rows from ``first_row`` on.
+    """
     compared, uncovered = 0, 0
     total, total_of_squares = 0.0, 0.0
     largest, worst_row, worst_col = -1.0, -1, -1
     for i in range(surface.shape[0]):
         for col in range(surface.shape[1]):
-            height = heights[first_row + i, col]
+            height = heights[i, col]
             if np.isnan(height):
                 continue
             error = abs(surface[i, col] - height)
