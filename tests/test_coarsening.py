@@ -411,12 +411,13 @@ def test_number_of_threads_changes_no_byte(monkeypatch, shape, holes):
 
 @given(terrains.rasters(largest=20), terrains.tolerances, st.sampled_from([2, 3, 5]))
 def test_bands_of_rows_change_no_byte(heights, tolerance, rows_in_a_band):
-    from rtin import _parallel
+    from rtin import _parallel, coarsening
 
     grid = grid_of(heights)
     whole = [rtin.coarsen(grid, **{name: tolerance}) for name in ("max_error", "threshold")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_parallel, "_FEWEST_ROWS", rows_in_a_band)
+        patch.setattr(coarsening, "_COARSE_PARTS", 1)
         cut = [rtin.coarsen(grid, **{name: tolerance}) for name in ("max_error", "threshold")]
     assert same_bytes(whole, cut)
 

@@ -234,3 +234,22 @@ def test_passes_a_large_mesh_with_many_voids():
     heights = rng.random((300, 300), np.float32)
     heights[rng.random(heights.shape) < 0.1] = np.nan
     validity.check(rtin.coarsen(rtin.Grid(heights), max_error=0.2))
+
+
+# --- solids -------------------------------------------------------------------------------------
+
+
+def test_a_terrain_is_not_closed_and_its_solid_is():
+    from rtin.io.solid import close
+
+    mesh = rtin.coarsen(rtin.Grid([[0.0, 1, 0], [1, 3, 1], [0, 1, 0]]), max_error=0)
+    assert not validity.is_closed(mesh)
+    assert validity.is_closed(close(mesh, 1.0))
+
+
+def test_a_solid_that_lacks_a_side_is_not_closed():
+    corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    sides = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+    assert validity.is_closed(rtin.TriangleMesh(corners, sides))
+    assert not validity.is_closed(rtin.TriangleMesh(corners, sides[:3]))
+    assert not validity.is_closed(rtin.TriangleMesh(corners, [*sides, sides[0]]))

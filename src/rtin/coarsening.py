@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin.criteria import lattice_size, require_grid
-from rtin.grid import Grid
+from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
 __all__ = ["coarsen", "coarsen_levels", "is_compiled"]
@@ -36,6 +35,7 @@ _Mask = NDArray[np.bool_]
 _Shares = list[NDArray[np.int64]]  # work for each band of rows
 _Tolerance = tuple[float, NDArray[np.float64] | None]
 
+_COARSE_PARTS = 32
 _NO_LIMIT: _Tolerance = (np.inf, None)
 _UNLIMITED = int(np.iinfo(np.int64).max)
 _MOST_NUMBERS = np.iinfo(np.int32).max
@@ -230,17 +230,23 @@ def _settle(
     """
     from rtin._kernels.coarsening import settle
 
-    bands = _parallel.row_bands(len(kept))
+    n_rows = len(kept)
+    bands = _parallel.row_bands(n_rows)
     common = (grid.heights, _is_complete(grid), *tolerance, kept)
-    found: list[list[_Items]] = [[np.empty(0, np.int64)] for _ in bands]
+    found = [[share[:0]] for share in shares]
+    if sum(share.size for share in shares) < len(bands):
+        # Too little to share out: the largest triangles first, whose splits are everybody's work.
+        finest = (n_rows - 1) // _COARSE_PARTS
+        _, work, fitting = settle(*common, 0, n_rows, finest, remembers, _joined(shares))
+        found = [[share] for share in _shared_out(fitting, bands)]
+        shares = _shared_out(work, bands)
     while any(share.size for share in shares):
         busy = [number for number, share in enumerate(shares) if share.size]
-        results = _parallel.run(
-            settle, [(*common, *bands[number], remembers, shares[number]) for number in busy]
-        )
-        for number, (_, fitting) in zip(busy, results, strict=True):
+        tasks = [(*common, *bands[number], 1, remembers, shares[number]) for number in busy]
+        results = _parallel.run(settle, tasks)
+        for number, (_, _, fitting) in zip(busy, results, strict=True):
             found[number].append(fitting)
-        shares = _shared_out(_joined(elsewhere for elsewhere, _ in results), bands)
+        shares = _shared_out(_joined(elsewhere for elsewhere, _, _ in results), bands)
     return [_joined(parts) for parts in found]
 
 

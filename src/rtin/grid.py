@@ -126,6 +126,20 @@ class Grid:
         return f"<Grid {rows} × {cols} {self.heights.dtype}{voids}, {crs}>"
 
 
+def lattice_size(shape: tuple[int, int]) -> int:
+    """Return 2**k, the cells along a side of the smallest lattice that covers a raster."""
+    return 1 << (max(shape) - 2).bit_length()
+
+
+def require_grid(grid: Grid) -> Grid:
+    """Return ``grid``; raise TypeError where it is something else."""
+    if not isinstance(grid, Grid):
+        raise TypeError(
+            f"a Grid is wanted, got {type(grid).__name__}: wrap heights in rtin.Grid(...)"
+        )
+    return grid
+
+
 def _as_heights(values: ArrayLike) -> NDArray[np.floating[Any]]:
     mask = np.ma.getmask(values)
     array = np.asarray(values)

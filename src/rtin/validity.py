@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rtin._edges import directed_edges, edge_ends, undirected_keys
 from rtin.mesh import TriangleMesh, require_mesh
 
-__all__ = ["InvalidMesh", "check", "complaints"]
+__all__ = ["InvalidMesh", "check", "complaints", "is_closed"]
 
 _Numbers = NDArray[np.int64]
 _Places = NDArray[np.float64]
@@ -65,6 +65,16 @@ def complaints(mesh: TriangleMesh) -> list[str]:
         first if n_found == 1 else f"{first} ({n_found} such)"
         for first, n_found in _complaints(mesh)
     ]
+
+
+def is_closed(mesh: TriangleMesh) -> bool:
+    """Return whether a mesh is the whole surface of a solid: each edge has exactly two triangles.
+
+    Which side of a triangle is outside is not looked at: reading a terrain turns all upwards.
+    """
+    keys = undirected_keys(*directed_edges(mesh.triangles), mesh.n_vertices)
+    uses = np.unique(keys, return_counts=True)[1]
+    return mesh.n_triangles > 0 and bool((uses == 2).all())
 
 
 def _complaints(mesh: TriangleMesh) -> Iterator[_Complaint]:
