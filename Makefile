@@ -17,9 +17,13 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# make bench RASTERS='dem.tif other.tif' measures on your own
 bench: $(VENV)/installed-dev
-	$(BIN)/python -m pip install --quiet --editable '.[bench]'
-	$(BIN)/python benchmarks/coarsening.py
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(BIN)/python benchmarks/coarsening.py $(RASTERS)
+	$(BIN)/python benchmarks/memory.py $(RASTERS)
+	$(BIN)/python benchmarks/command_line.py
+	$(BIN)/python benchmarks/promise.py $(RASTERS)
 
 build: $(VENV)/installed-dev
 	$(BIN)/python -m build
