@@ -5,15 +5,17 @@ import signal
 import stat
 import subprocess
 import sys
+import tracemalloc
 from fractions import Fraction
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pyproj
 import pytest
 import pyvista
 import trimesh
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hand_meshes import bumpy, in_degrees, in_utm, touching_at_a_point, with_hole
@@ -53,7 +55,7 @@ def glb_json(path):
 def read_independently(path):
     """Vertices (z up, as in the file) and triangles, by a program that is not ours."""
     if path.suffix in (".vtu", ".ply"):
-        mesh = pytest.importorskip("meshio").read(path)
+        mesh = meshio.read(path)
         return mesh.points, mesh.cells_dict["triangle"]
     if path.suffix == ".vtp":
         mesh = pyvista.read(path)
@@ -482,6 +484,143 @@ def test_a_file_that_is_cut_short_is_not_read_as_whole(suffix, part, tmp_path):
     path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
     with pytest.raises((OSError, ValueError), match="cut"):
         read_mesh(path)
+
+
+def with_json(glb, change):
+    """The same GLB after ``change`` has been at its JSON."""
+    length = int.from_bytes(glb[12:16], "little")
+    tree = json.loads(glb[20 : 20 + length])
+    change(tree)
+    text = json.dumps(tree).encode()
+    return glb[:12] + len(text).to_bytes(4, "little") + b"JSON" + text + glb[20 + length :]
+
+
+def test_a_glb_that_announces_what_it_does_not_hold_costs_no_memory(tmp_path):
+    path = tmp_path / "mesh.glb"
+    write_mesh(bumpy(), path)
+
+    def announce(tree):
+        del tree["accessors"][1]["bufferView"]
+        tree["accessors"][1]["count"] = 300_000_000
+
+    path.write_bytes(with_json(path.read_bytes(), announce))
+    with pytest.raises(OSError, match=r"mesh\.glb as GLB: 300,000,\d* values are announced in"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize("chunk", ["JSON", "BIN"])
+def test_a_glb_whose_chunk_is_said_to_be_gigabytes_costs_no_memory(chunk, tmp_path):
+    path = tmp_path / "mesh.glb"
+    write_mesh(bumpy(), path)
+    content = bytearray(path.read_bytes())
+    content[content.index(chunk.encode()) - 1] = 0xFF
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        assert not read_or_refuse(path)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "name"),
+    [(".vtu", "NumberOfPoints"), (".vtu", "NumberOfCells"), (".vtp", "NumberOfPolys")],
+)
+def test_a_vtk_file_that_announces_what_it_does_not_hold_costs_no_memory(suffix, name, tmp_path):
+    path = tmp_path / f"mesh{suffix}"
+    write_mesh(bumpy(), path)
+    text, n_changed = re.subn(rf'{name}="\d+"', f'{name}="99999999999"', path.read_text())
+    assert n_changed == 1
+    path.write_text(text)
+    with pytest.raises(OSError, match=r"99,999,999,999 values are announced in"):
+        read_mesh(path)
+
+
+def read_or_refuse(path):
+    """Return True for a mesh, False for an error in one line; let everything else through."""
+    try:
+        return isinstance(read_mesh(path), TriangleMesh)
+    except (OSError, ValueError, ImportError, MemoryError) as error:
+        message = str(error)
+    assert len(message.splitlines()) == 1
+    assert path.name in message
+    return False
+
+
+fuzz = settings(
+    deadline=None,
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def damaged(draw, content):
+    """``content`` with up to six bytes changed, and cut short or not."""
+    damaged = bytearray(content)
+    for _ in range(draw(st.integers(0, 6))):
+        damaged[draw(st.integers(0, len(content) - 1))] = draw(st.integers(0, 255))
+    return bytes(damaged[: draw(st.just(len(content)) | st.integers(0, len(content)))])
+
+
+@pytest.fixture(scope="module")
+def good_files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    for suffix in READABLE:
+        write_mesh(bumpy(3, 4, crs="EPSG:32616"), folder / f"mesh{suffix}")
+    return {path.suffix: path.read_bytes() for path in folder.iterdir()}
+
+
+IN_PYTHON = sorted(set(READABLE) - {".vtu", ".vtp"})
+
+
+@fuzz
+@given(content=st.binary(max_size=300), suffix=st.sampled_from(IN_PYTHON))
+def test_any_bytes_are_a_mesh_or_one_line(tmp_path, content, suffix):
+    (tmp_path / f"mesh{suffix}").write_bytes(content)
+    read_or_refuse(tmp_path / f"mesh{suffix}")
+
+
+@fuzz
+@given(data=st.data(), suffix=st.sampled_from(IN_PYTHON))
+def test_a_damaged_file_is_a_mesh_or_one_line(tmp_path, good_files, data, suffix):
+    path = tmp_path / f"mesh{suffix}"
+    path.write_bytes(damaged(data.draw, good_files[suffix]))
+    tracemalloc.start()
+    try:
+        read_or_refuse(path)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+READ_ALL = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from test_write_mesh import read_or_refuse
+for path in sorted(Path(sys.argv[2]).iterdir()):
+    read_or_refuse(path)
+print("done")
+"""
+
+
+def test_a_damaged_vtk_file_is_a_mesh_or_one_line(tmp_path, good_files):
+    """VTK is C++, and where it fails it may end the process: it reads in one of its own."""
+
+    @settings(deadline=None, derandomize=True, max_examples=100, database=None)
+    @given(data=st.data(), suffix=st.sampled_from([".vtu", ".vtp"]))
+    def write_one(data, suffix):
+        any_bytes = st.binary(max_size=300)
+        is_random = data.draw(st.integers(0, 9)) == 0
+        content = data.draw(any_bytes) if is_random else damaged(data.draw, good_files[suffix])
+        (tmp_path / f"{len(list(tmp_path.iterdir())):03}{suffix}").write_bytes(content)
+
+    write_one()
+    command = [sys.executable, "-c", READ_ALL, str(Path(__file__).parent), str(tmp_path)]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "done\n", "")
 
 
 def test_without_pyvista_the_command_to_install_it_is_told(monkeypatch, tmp_path):

@@ -1,4 +1,4 @@
-"""Numbers that people pass to the writers."""
+"""Numbers that come from people and from files, checked before anything is done with them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["as_positive"]
+__all__ = ["as_positive", "require_plausible"]
+
+# zlib makes at most 1032 bytes of one, 86 points or triangles; the other formats do not compress.
+_MOST_PER_BYTE = 100
 
 
 def as_positive(name: str, value: Any, unit: str = "") -> float:  # noqa: ANN401
@@ -21,3 +24,12 @@ def as_positive(name: str, value: Any, unit: str = "") -> float:  # noqa: ANN401
     if not (np.isfinite(number) and number > 0.0):
         raise ValueError(f"{name} must be more than zero{unit}, got {value}")
     return number
+
+
+def require_plausible(count: int, n_bytes: int) -> None:
+    """Raise ValueError where a file of ``n_bytes`` announces more than it can hold.
+
+    Readers make room for what is announced: a damaged number would cost all memory.
+    """
+    if count > _MOST_PER_BYTE * n_bytes:
+        raise ValueError(f"{count:,} values are announced in {n_bytes:,} bytes: it is damaged")

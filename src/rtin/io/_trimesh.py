@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin.io._gltf import z_up
+from rtin.io._numbers import require_plausible
 
 __all__ = ["read"]
 
@@ -27,10 +29,13 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
     suffix = path.suffix.lower()
     # Without this its OBJ reader drops vertices that no triangle uses.
     options: Any = {"maintain_order": True} if suffix == ".obj" else {}
-    with path.open("rb") as file:
-        scene: Any = trimesh.load(
-            file, file_type=suffix[1:], force="scene", process=False, **options
-        )
+    # From memory: asked for the gigabytes that a damaged file announces, a file on disk would
+    # reserve them before it finds out how short it is.
+    data = path.read_bytes()
+    if suffix == ".glb":
+        require_plausible(_announced(data), len(data))
+    file = BytesIO(data)
+    scene: Any = trimesh.load(file, file_type=suffix[1:], force="scene", process=False, **options)
     vertices, triangles, stored = _joined(scene)
     if suffix == ".glb":
         return z_up(vertices), triangles, stored
@@ -41,6 +46,13 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
             "the file is cut short, or was changed without its first comment"
         )
     return vertices, triangles, stored
+
+
+def _announced(glb: bytes) -> int:
+    """Return how many values the accessors of a GLB are said to have together."""
+    n_bytes = int.from_bytes(glb[12:16], "little")
+    tree = json.loads(glb[20 : 20 + n_bytes])
+    return sum(accessor["count"] for accessor in tree.get("accessors", []))
 
 
 def _joined(scene: Any) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:  # noqa: ANN401

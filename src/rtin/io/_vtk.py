@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,9 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin.io._numbers import require_plausible
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["read", "require_pyvista", "vtp", "vtu"]
+
+_COUNT = re.compile(rb"""NumberOf\w+\s*=\s*["']\s*(\d+)""")
 
 
 def vtp(placed: PlacedMesh) -> bytes:
@@ -53,6 +57,10 @@ def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN4
 def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:
     """Return vertices, triangles and the stored placement (or None) of a .vtp or .vtu file."""
     pyvista = require_pyvista()
+    # VTK ends the process where a damaged number asks for more memory than there is.
+    content = path.read_bytes()
+    for announced in _COUNT.findall(content):
+        require_plausible(int(announced[:20]), len(content))
     with _silence():
         data = pyvista.read(path)
     if data.n_points == 0:

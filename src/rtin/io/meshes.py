@@ -191,7 +191,8 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     with file.open("rb"):
         pass
     try:
-        mesh = _as_mesh(*_DECODERS[suffix](file))
+        with np.errstate(all="ignore"):  # a damaged file holds infinite vertices too
+            mesh = _as_mesh(*_DECODERS[suffix](file))
     except ImportError:
         raise
     except Exception as error:  # what a parser raises on a broken file is anything at all
