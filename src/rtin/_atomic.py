@@ -22,6 +22,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     new one, never a part; the new one has the old one's permissions, or those of any newly created
     file. Devices and pipes are refused: a file would take their place.
 
+    What ends the process at once (SIGTERM, SIGKILL) leaves the new file behind, its name ending in
+    .part and the extension. Nothing waits for the disk: a power cut soon after may lose the file.
+
     Raises
     ------
     OSError
