@@ -176,16 +176,9 @@ def is_open(kept, first_row, end_row, row, col):
 
 
 @jit
-def push_consequences(kept, first_row, end_row, row, col, stack, n_stack):
-    """Put what a newly kept vertex entails on the stack: its apexes, and tests of its triangles."""
-    spacing = spacing_of(row, col)
-    if not is_unit(row, col, spacing):
-        for direction in range(4):
-            mid_row, mid_col = midpoint(row, col, spacing, direction)
-            if is_open(kept, first_row, end_row, mid_row, mid_col):
-                stack[n_stack] = packed(row, col, direction)
-                n_stack += 1
-    p_row, p_col, q_row, q_col = apexes(row, col, spacing)
+def push_apexes(kept, first_row, end_row, row, col, stack, n_stack):
+    """Put both apexes of a newly kept vertex on the stack, where they are still to be kept."""
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
     if is_open(kept, first_row, end_row, p_row, p_col):
         stack[n_stack] = packed(p_row, p_col, VERTEX)
         n_stack += 1
@@ -211,45 +204,52 @@ def settle(
     untested, n_untested = np.empty(64, np.int64), 0
     fitting, n_fitting = np.empty(64, np.int64), 0
     while n_stack > 0:
-        stack = with_room(stack, n_stack + 6)
         n_stack -= 1
-        item = stack[n_stack]
-        row, col, direction = unpacked(item)
-        if direction == VERTEX:
+        row, col, first = unpacked(stack[n_stack])
+        end = first + 1
+        if first == VERTEX:
             if not first_row <= row < end_row:
                 elsewhere = with_room(elsewhere, n_elsewhere + 1)
-                elsewhere[n_elsewhere] = item
+                elsewhere[n_elsewhere] = packed(row, col, VERTEX)
                 n_elsewhere += 1
-            elif kept[row, col] == 0:
-                kept[row, col] = 1
-                n_stack = push_consequences(kept, first_row, end_row, row, col, stack, n_stack)
-            continue
+                continue
+            if kept[row, col] != 0:
+                continue
+            kept[row, col] = 1
+            stack = with_room(stack, n_stack + 6)
+            n_stack = push_apexes(kept, first_row, end_row, row, col, stack, n_stack)
+            first, end = 0, 4
         spacing = spacing_of(row, col)
-        mid_row, mid_col = midpoint(row, col, spacing, direction)
-        if not is_open(kept, first_row, end_row, mid_row, mid_col):
+        if is_unit(row, col, spacing):
             continue
         if spacing < finest:
-            untested = with_room(untested, n_untested + 1)
-            untested[n_untested] = item
-            n_untested += 1
+            untested = with_room(untested, n_untested + 4)
+            for direction in range(first, end):
+                untested[n_untested] = packed(row, col, direction)
+                n_untested += 1
             continue
-        # One call that holds these three took 15 ns more for each triangle than its answer.
-        fails = midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction)
-        if not fails and not is_complete:
-            fails = triangle_fails_or_is_mixed(
-                heights, max_error, tolerance, row, col, spacing, direction
-            )
-        elif not fails and spacing > 1:
-            fails = complete_triangle_fails(
-                heights, max_error, tolerance, row, col, spacing, direction
-            )
-        if fails:
-            stack[n_stack] = packed(mid_row, mid_col, VERTEX)
-            n_stack += 1
-        elif remembers:
-            fitting = with_room(fitting, n_fitting + 1)
-            fitting[n_fitting] = item
-            n_fitting += 1
+        stack = with_room(stack, n_stack + 4)
+        for direction in range(first, end):
+            mid_row, mid_col = midpoint(row, col, spacing, direction)
+            if not is_open(kept, first_row, end_row, mid_row, mid_col):
+                continue
+            # One call that holds these three took 15 ns more for each triangle than its answer.
+            fails = midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction)
+            if not fails and not is_complete:
+                fails = triangle_fails_or_is_mixed(
+                    heights, max_error, tolerance, row, col, spacing, direction
+                )
+            elif not fails and spacing > 1:
+                fails = complete_triangle_fails(
+                    heights, max_error, tolerance, row, col, spacing, direction
+                )
+            if fails:
+                stack[n_stack] = packed(mid_row, mid_col, VERTEX)
+                n_stack += 1
+            elif remembers:
+                fitting = with_room(fitting, n_fitting + 1)
+                fitting[n_fitting] = packed(row, col, direction)
+                n_fitting += 1
     return elsewhere[:n_elsewhere], untested[:n_untested], fitting[:n_fitting]
 
 
