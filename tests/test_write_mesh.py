@@ -831,3 +831,11 @@ def test_writing_imports_nothing_heavy_but_for_vtk(tmp_path):
     command = [sys.executable, "-c", WRITE_ALL, str(tmp_path), str(Path(__file__).parent)]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
     assert result.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtp"])
+def test_vtk_files_hold_the_elevation_to_colour_by(tmp_path, suffix):
+    mesh = bumpy()
+    write_mesh(mesh, tmp_path / f"mesh{suffix}", z_scale=2.0)
+    data = pyvista.read(tmp_path / f"mesh{suffix}")
+    assert np.array_equal(data.point_data["elevation"], 2.0 * mesh.vertices[:, 2])

@@ -44,6 +44,7 @@ def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN4
 
     The placement is an array of ASCII codes: meshio reads no file that has an array of strings.
     """
+    data.point_data["elevation"] = placed.vertices[:, 2]  # what ParaView colours by
     data.field_data["rtin"] = np.frombuffer(placed.as_json().encode("ascii"), dtype=np.uint8)
     writer.SetInputData(data)
     writer.SetDataModeToBinary()
