@@ -143,19 +143,19 @@ def test_an_exact_mesh_has_no_error_at_utm_coordinates():
     assert (error.max, error.rms, error.mean) == (0.0, 0.0, 0.0)
 
 
-def test_a_mesh_beside_the_raster_covers_nothing():
+def test_a_mesh_beside_the_raster_is_refused():
     grid = grid_of(np.ones((4, 4)))
     mesh = TriangleMesh([[50, 50, 0], [60, 50, 0], [50, 60, 0]], [[1, 2, 0]])
-    error = rtin.vertical_error(mesh, grid)
-    assert np.isnan([error.max, error.rms, error.mean]).all()
-    assert (error.sample, error.n_samples, error.n_uncovered) == ((-1, -1), 0, 16)
-    assert np.isnan(error.field).all()
+    with pytest.raises(ValueError, match="covers no sample of the grid"):
+        rtin.vertical_error(mesh, grid)
 
 
 def test_triangles_without_area_are_passed_over():
     grid = grid_of(np.ones((3, 3)))
-    mesh = TriangleMesh([[0, 0, 9], [1, 0, 9], [2, 0, 9]], [[0, 1, 2]])
-    assert rtin.vertical_error(mesh, grid).n_samples == 0
+    corners = [[0, 0, 9], [1, 0, 9], [2, 0, 9], [0, -1, 1], [1, -1, 1]]
+    mesh = TriangleMesh(corners, [[0, 1, 2], [3, 4, 0], [0, 1, 2]])
+    error = rtin.vertical_error(mesh, grid)
+    assert (error.n_samples, error.n_uncovered) == (3, 6)
 
 
 @given(st.sampled_from([0.0, 5.0, 40.0]))

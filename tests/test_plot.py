@@ -5,8 +5,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+import rtin
 from hand_meshes import bumpy, in_degrees, in_utm, with_hole
-from rtin import plotting
+from rtin import plotting, samples
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 from rtin.plotting import plot, require_picture_path, save_picture
@@ -198,3 +199,20 @@ def test_saving_leaves_pyplot_alone(tmp_path):
 def test_saving_to_a_missing_folder_is_told(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"cannot write .*make it first"):
         save_picture(bumpy(), tmp_path / "nowhere" / "mesh.png")
+
+
+def test_a_picture_says_how_far_the_mesh_is_from_its_raster(tmp_path):
+    grid = samples.topobathy()
+    mesh = rtin.coarsen(grid, max_error=100.0)
+    save_picture(mesh, tmp_path / "mesh.svg", grid=grid)
+    drawn = (tmp_path / "mesh.svg").read_text(encoding="utf-8")
+    achieved = rtin.vertical_error(mesh, grid).max
+    assert f"largest vertical error {achieved:.4g} " in drawn  # the comment over the outlines
+
+
+def test_a_mesh_beside_its_raster_is_not_drawn(tmp_path):
+    grid = samples.topobathy()
+    elsewhere = rtin.coarsen(samples.jacksboro_fault(), max_error=100.0)
+    with pytest.raises(ValueError, match="covers no sample"):
+        save_picture(elsewhere, tmp_path / "mesh.svg", grid=grid)
+    assert not (tmp_path / "mesh.svg").exists()

@@ -65,7 +65,7 @@ class VerticalError:
     Attributes
     ----------
     max, rms, mean : float
-        Of abs(surface - sample), in the unit of the heights. NaN where no sample is covered.
+        Of abs(surface - sample), in the unit of the heights.
     sample : (int, int)
         Row and column of the first sample, in row-major order, where the largest error is.
     n_samples : int
@@ -111,6 +111,8 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     ------
     TypeError
         If ``mesh`` is not a TriangleMesh or ``grid`` not a Grid.
+    ValueError
+        If the mesh covers no valid sample: it lies elsewhere.
     """
     require_grid(grid)
     if not isinstance(mesh, TriangleMesh):
@@ -120,8 +122,9 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     total, total_of_squares = (sum(part[i] for part in parts) for i in (2, 3))
     worst = max(parts, key=lambda part: part[4])
     if n_samples == 0:
-        nan = float("nan")
-        return VerticalError(nan, nan, nan, (-1, -1), 0, n_uncovered, mesh, grid)
+        raise ValueError(
+            "the mesh covers no sample of the grid; bring both into the same coordinates"
+        )
     return VerticalError(
         max=float(worst[4]),
         rms=float(np.sqrt(total_of_squares / n_samples)),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtin import _tint
 from rtin._atomic import require_place, write_bytes
 from rtin._crs import metres_per_unit
+from rtin.criteria import vertical_error
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh, require_mesh
 
@@ -91,7 +92,7 @@ def save_picture(
     line_width: float | None = None,
     dots_per_inch: float = 150.0,
 ) -> None:
-    """Write what ``plot`` draws to a picture, with the counts above it.
+    """Write what ``plot`` draws to a picture; counts, and the error against ``grid``, above it.
 
     Parameters
     ----------
@@ -107,7 +108,8 @@ def save_picture(
     Raises
     ------
     ValueError
-        If matplotlib does not know the extension or the mesh has no triangles.
+        If matplotlib does not know the extension, the mesh has no triangles, or it covers no
+        sample of ``grid``.
     OSError
         If the file cannot be written; what was there before is still there.
 
@@ -120,7 +122,10 @@ def save_picture(
     suffix = _known_suffix(path)
     figure = Figure(figsize=_size(require_mesh(mesh)), layout="constrained")
     ax = plot(mesh, grid=grid, ax=figure.add_subplot(), line_width=line_width)
-    ax.set_title(f"{mesh.n_triangles:,} triangles, {mesh.n_vertices:,} vertices", fontsize=10)
+    title = f"{mesh.n_triangles:,} triangles, {mesh.n_vertices:,} vertices"
+    if grid is not None:
+        title += f"; largest vertical error {vertical_error(mesh, grid).max:.4g}"
+    ax.set_title(title, fontsize=10)
     picture = io.BytesIO()
     figure.savefig(picture, format=suffix[1:], dpi=dots_per_inch)
     write_bytes(path, picture.getbuffer())
