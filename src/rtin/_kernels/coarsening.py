@@ -269,13 +269,7 @@ def close(kept, first_row, end_row, stack, n_stack, elsewhere, n_elsewhere):
             continue
         kept[row, col] = 1
         stack = with_room(stack, n_stack + 2)
-        p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
-        if is_open(kept, first_row, end_row, p_row, p_col):
-            stack[n_stack] = packed(p_row, p_col, VERTEX)
-            n_stack += 1
-        if is_open(kept, first_row, end_row, q_row, q_col):
-            stack[n_stack] = packed(q_row, q_col, VERTEX)
-            n_stack += 1
+        n_stack = push_apexes(kept, first_row, end_row, row, col, stack, n_stack)
     return elsewhere, n_elsewhere
 
 
@@ -344,7 +338,6 @@ def keep_by_mask(mask, kept, first_row, end_row):
 @jit
 def keep_with_closure(kept, item, stack, added, n_added):
     """Keep a vertex and all it needs; append each new one to ``added``."""
-    size = kept.shape[0] - 1
     stack[0], n_stack = item, 1
     while n_stack > 0:
         n_stack -= 1
@@ -356,13 +349,7 @@ def keep_with_closure(kept, item, stack, added, n_added):
         added = with_room(added, n_added + 1)
         added[n_added] = packed(row, col, VERTEX)
         n_added += 1
-        p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
-        if is_inside(p_row, p_col, size) and kept[p_row, p_col] == 0:
-            stack[n_stack] = packed(p_row, p_col, VERTEX)
-            n_stack += 1
-        if is_inside(q_row, q_col, size) and kept[q_row, q_col] == 0:
-            stack[n_stack] = packed(q_row, q_col, VERTEX)
-            n_stack += 1
+        n_stack = push_apexes(kept, 0, kept.shape[0], row, col, stack, n_stack)
     return added, n_added
 
 
