@@ -248,6 +248,13 @@ def test_coarsen_points_out_undeclared_nodata_and_a_missing_crs(tmp_path):
     assert any("no CRS" in note for note in notes["notes"])
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_the_first_run_says_that_it_compiles(dem, tmp_path, monkeypatch, compiled):
+    monkeypatch.setattr("rtin.coarsening.is_compiled", lambda: compiled)
+    result = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 30)
+    assert ("first run: compiling" in result.stderr) is not compiled
+
+
 def test_info_knows_a_solid(dem, tmp_path):
     run("coarsen", dem, tmp_path / "solid.stl", "--max-error", 30, "--base", 10)
     summary = json.loads(run("info", tmp_path / "solid.stl", "--json").stdout)
