@@ -185,10 +185,8 @@ def plot(
         from rtin.io.meshes import read_mesh
         from rtin.plotting import require_picture_path, save_picture
 
-        try:
+        with _values_are_usage():
             require_picture_path(out)
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
         with _progress(f"reading {path}"):
             mesh = read_mesh(path)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
@@ -367,8 +365,15 @@ def _require_writable(out: Path, dem: Path) -> None:
 
     if out.exists() and dem.exists() and out.samefile(dem):
         raise typer.BadParameter(f"OUT must not be the raster itself, got {out} for both")
-    try:
+    with _values_are_usage():
         require_writable(out)
+
+
+@contextmanager
+def _values_are_usage() -> Iterator[None]:
+    """Take a ValueError about what stands on the command line for bad usage."""
+    try:
+        yield
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
+from rtin._number import as_number
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
@@ -109,7 +110,7 @@ def coarsen(
     if name == "max_error":
         kept = _least_mesh(grid, _as_tolerance(grid, value), required)
     elif name == "threshold":
-        kept = _above_threshold(grid, _as_number("threshold", value), required)
+        kept = _above_threshold(grid, _as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
@@ -142,7 +143,7 @@ def coarsen_levels(
     require_grid(grid)
     if np.ndim(max_errors) != 1:
         raise TypeError(f"max_errors must be a sequence of numbers, got {max_errors!r}")
-    tolerances = [_as_number("max_errors", value) for value in max_errors]
+    tolerances = [_as_height("max_errors", value) for value in max_errors]
     if not tolerances:
         raise ValueError("max_errors must hold at least one tolerance, got an empty sequence")
     required = None if keep is None else _as_mask(grid, "keep", keep)
@@ -400,16 +401,11 @@ def _the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
     return next(iter(given.items()))
 
 
-def _as_number(name: str, value: Any) -> float:  # noqa: ANN401
-    if isinstance(value, bool | np.bool_ | str) or np.ndim(value) != 0:
-        raise TypeError(f"{name} must be a number, got {value!r}")
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be a number, got {value!r}") from None
-    if not number >= 0.0:
-        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {number}")
-    return number
+def _as_height(name: str, value: Any) -> float:  # noqa: ANN401
+    height = as_number(name, value)
+    if not height >= 0.0:
+        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {height}")
+    return height
 
 
 def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
@@ -421,7 +417,7 @@ def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
 def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
     """Return a tolerance as the kernels take it: one number, or one for each sample."""
     if np.ndim(value) == 0:
-        return _as_number("max_error", value), None
+        return _as_height("max_error", value), None
     tolerance = np.asarray(value)
     if tolerance.dtype.kind not in "fiu":
         raise TypeError(f"max_error must hold numbers, got an array of {tolerance.dtype}")

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from rtin._number import as_number
+
 __all__ = ["as_positive", "require_plausible"]
 
 # zlib makes at most 1032 bytes of one, 86 points or triangles; the other formats do not compress.
@@ -14,13 +16,7 @@ _MOST_PER_BYTE = 100
 
 def as_positive(name: str, value: Any, unit: str = "") -> float:  # noqa: ANN401
     """Return ``value`` as a float; raise where it is no number, or not more than zero."""
-    wrong_kind = TypeError(f"{name} must be a number, got {value!r}")
-    if isinstance(value, bool | np.bool_ | str | bytes) or np.ndim(value) != 0:
-        raise wrong_kind
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise wrong_kind from None
+    number = as_number(name, value)
     if not (np.isfinite(number) and number > 0.0):
         raise ValueError(f"{name} must be more than zero{unit}, got {value}")
     return number

@@ -1,0 +1,20 @@
+"""The one test of what counts as a number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["as_number"]
+
+
+def as_number(name: str, value: Any) -> float:  # noqa: ANN401
+    """Return ``value`` as a float; raise TypeError where it is no number, as text and truth are."""
+    wrong_kind = TypeError(f"{name} must be a number, got {value!r}")
+    if isinstance(value, bool | np.bool_ | str | bytes) or np.ndim(value) != 0:
+        raise wrong_kind
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise wrong_kind from None
