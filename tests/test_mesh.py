@@ -128,3 +128,25 @@ def test_says_in_one_line_what_was_wanted_and_what_came(wrong):
 def test_may_be_empty():
     mesh = TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int))
     assert (mesh.n_vertices, mesh.n_triangles) == (0, 0)
+
+
+def test_tags_go_with_their_triangles():
+    tags = np.array([7, -3], np.int64)
+    mesh = TriangleMesh.from_triangles(SQUARE, [[0, 3, 2], [0, 1, 2]], tags=tags)
+    assert (mesh.tags.tolist(), mesh.tags.dtype) == ([7, -3], np.int32)
+    assert TriangleMesh(SQUARE, [[0, 1, 2]]).tags is None
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.tags[0] = 1
+
+
+@pytest.mark.parametrize(
+    ("tags", "error", "message"),
+    [
+        ([1], ValueError, r"tags must have shape \(2,\), got \(1,\)"),
+        ([1.0, 2.0], TypeError, "tags must be whole numbers, got an array of float64"),
+        ([1, 2**31], ValueError, "tags must fit in 32 bits, got 1 to 2147483648"),
+    ],
+)
+def test_refuses_wrong_tags(tags, error, message):
+    with pytest.raises(error, match=message):
+        TriangleMesh(SQUARE, [[0, 1, 2], [2, 3, 0]], tags=tags)

@@ -33,32 +33,38 @@ class TriangleMesh:
         Vertex numbers, counter-clockwise from above. Vertices 0 and 1 of each end its longest
         edge (in a mesh coarsened from a grid: the hypotenuse on the lattice).
     crs : pyproj.CRS or anything pyproj takes, optional
+    tags : array_like of int32, shape (m,), optional
+        A number for each triangle, such as its material or zone. Refined triangles inherit it.
 
     Raises
     ------
     ValueError
         If a shape is wrong or a triangle names a vertex that does not exist.
     TypeError
-        If the triangles are not whole numbers.
+        If the triangles or the tags are not whole numbers.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     crs: pyproj.CRS | None
+    tags: NDArray[np.int32] | None
 
     def __init__(
         self,
         vertices: ArrayLike,
         triangles: ArrayLike,
         crs: Any = None,  # noqa: ANN401
+        tags: ArrayLike | None = None,
     ) -> None:
         points = _as_vertices(vertices)
         corners = _as_triangles(triangles, len(points))
+        labels = None if tags is None else _as_tags(tags, len(corners))
         points.flags.writeable = False
         corners.flags.writeable = False
         object.__setattr__(self, "vertices", points)
         object.__setattr__(self, "triangles", corners)
         object.__setattr__(self, "crs", as_crs(crs))
+        object.__setattr__(self, "tags", labels)
 
     @classmethod
     def from_triangles(
@@ -66,6 +72,7 @@ class TriangleMesh:
         vertices: ArrayLike,
         triangles: ArrayLike,
         crs: Any = None,  # noqa: ANN401
+        tags: ArrayLike | None = None,
     ) -> TriangleMesh:
         """Return a mesh of foreign triangles, each put in the order that ``TriangleMesh`` wants.
 
@@ -73,7 +80,7 @@ class TriangleMesh:
         end the longest edge, measured in x and y (the first of equal ones, walking from the
         triangle's own vertex 0). Neither the vertices nor the order of the triangles changes.
         """
-        mesh = cls(vertices, triangles, crs)
+        mesh = cls(vertices, triangles, crs, tags)
         corners = mesh.triangles.copy()
         clockwise = mesh.signed_areas() < 0.0
         corners[clockwise] = corners[clockwise][:, ::-1]
@@ -81,7 +88,7 @@ class TriangleMesh:
         edges = np.roll(points, -1, axis=1) - points
         first = np.argmax((edges**2).sum(axis=2), axis=1)
         order = (first[:, np.newaxis] + np.arange(3)) % 3
-        return cls(mesh.vertices, np.take_along_axis(corners, order, axis=1), mesh.crs)
+        return cls(mesh.vertices, np.take_along_axis(corners, order, axis=1), mesh.crs, mesh.tags)
 
     @property
     def n_vertices(self) -> int:
@@ -144,3 +151,17 @@ def _as_triangles(values: ArrayLike, n_vertices: int) -> NDArray[np.int32]:
             f"got numbers from {given.min()} to {given.max()}"
         )
     return np.ascontiguousarray(given, dtype=np.int32).view()
+
+
+def _as_tags(values: ArrayLike, n_triangles: int) -> NDArray[np.int32]:
+    given = np.asarray(values)
+    if given.size and given.dtype.kind not in "iu":
+        raise TypeError(f"tags must be whole numbers, got an array of {given.dtype}")
+    if given.shape != (n_triangles,):
+        raise ValueError(f"tags must have shape ({n_triangles},), got {given.shape}")
+    limits = np.iinfo(np.int32)
+    if given.size and (given.min() < limits.min or given.max() > limits.max):
+        raise ValueError(f"tags must fit in 32 bits, got {given.min()} to {given.max()}")
+    tags = np.ascontiguousarray(given, dtype=np.int32).view()
+    tags.flags.writeable = False
+    return tags
