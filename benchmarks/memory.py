@@ -12,13 +12,16 @@ import ctypes
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 import rtin
 from measuring import fractal_terrain, show
 
+Result = TypeVar("Result")
 SHAPES = ("1025x1025", "4097x4097", "4098x4098", "3000x5000")
 CASES = {
     "max_error 5 %": ("max_error", 0.05),
@@ -51,17 +54,22 @@ def resident(field: str) -> int:
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(field))
 
 
+def peak_while(call: Callable[[], Result]) -> tuple[int, int, Result]:
+    """Return resident bytes before a call, the most during it, and what it returns."""
+    ctypes.CDLL(None).malloc_trim(0)  # what is freed already must not serve the call
+    Path("/proc/self/clear_refs").write_text("5")  # VmHWM := VmRSS
+    before = resident("VmRSS")
+    result = call()
+    return before, resident("VmHWM"), result
+
+
 def measure(source: str, case: str) -> dict[str, object]:
     grid = read(source)
     # Compile and start threads first, on the kind of grid at hand: with voids or none, odd or not.
     small = rtin.Grid(np.ascontiguousarray(grid.heights[-257:, -257:]))
     rtin.coarsen(small, **option(small, case))
     rtin.coarsen(rtin.Grid(small.heights[:-3]), **option(small, case))
-    ctypes.CDLL(None).malloc_trim(0)  # what is freed already must not serve the call below
-    Path("/proc/self/clear_refs").write_text("5")  # VmHWM := VmRSS
-    before = resident("VmRSS")
-    mesh = rtin.coarsen(grid, **option(grid, case))
-    peak = resident("VmHWM")
+    before, peak, mesh = peak_while(lambda: rtin.coarsen(grid, **option(grid, case)))
     raster, result = grid.heights.nbytes, mesh.vertices.nbytes + mesh.triangles.nbytes
     return {
         "raster": f"{Path(source).stem} {grid.shape[0]}×{grid.shape[1]}",

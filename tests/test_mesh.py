@@ -85,10 +85,28 @@ def test_from_triangles_puts_the_longest_edge_first_and_turns_counter_clockwise(
         assert longest >= np.linalg.norm(a - c)
 
 
-def test_from_triangles_takes_the_first_of_equal_edges():
-    equilateral = [[0, 0, 0], [2, 0, 0], [1, 2, 0]]  # two equal edges, longer than the third
-    assert TriangleMesh.from_triangles(equilateral, [[0, 1, 2]]).triangles.tolist() == [[1, 2, 0]]
-    assert TriangleMesh.from_triangles(equilateral, [[2, 0, 1]]).triangles.tolist() == [[2, 0, 1]]
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.0, 2.2])
+def test_equal_edges_are_told_apart_the_same_way_from_both_sides(turn):
+    """On an equilateral lattice, numbered at random, all triangles bisect parallel edges."""
+    row, col = np.divmod(np.arange(36), 6)
+    x, y = col + 0.5 * row, np.sqrt(0.75) * row
+    points = np.c_[np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, x]
+    cells = np.array([n for n in range(30) if n % 6 < 5])
+    corners = np.r_[np.c_[cells, cells + 1, cells + 6], np.c_[cells + 1, cells + 7, cells + 6]]
+    rng = np.random.default_rng(3)
+    mesh = TriangleMesh.from_triangles(points + 4e6, rng.permuted(corners, axis=1))
+    directions = np.diff(mesh.vertices[mesh.triangles[:, :2], :2], axis=1)[:, 0]
+    along, across = directions[0], np.array([-directions[0, 1], directions[0, 0]])
+    np.testing.assert_allclose(directions @ across, 0.0, atol=1e-8)
+    np.testing.assert_allclose(np.abs(directions @ along), 1.0)
+
+
+def test_of_two_equal_edges_the_choice_does_not_depend_on_the_numbering():
+    acute = [[0, 0, 0], [2, 0, 0], [1, 2, 0]]
+    wanted = TriangleMesh.from_triangles(acute, [[0, 1, 2]]).triangles.tolist()
+    assert wanted == [[2, 0, 1]]  # the one that goes north-east, close to the fixed direction
+    for corners in ([1, 2, 0], [2, 0, 1], [2, 1, 0], [0, 2, 1]):
+        assert TriangleMesh.from_triangles(acute, [corners]).triangles.tolist() == wanted
 
 
 @given(terrains.rasters(), terrains.tolerances, st.integers(0, 2**32 - 1))

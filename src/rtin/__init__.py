@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rtin.io import read_grid, read_mesh, write_mesh
     from rtin.mesh import TriangleMesh
     from rtin.plotting import plot
+    from rtin.refinement import refine, refine_to
 
 _MODULE_OF = {
     "Grid": "rtin.grid",
@@ -26,6 +27,8 @@ _MODULE_OF = {
     "plot": "rtin.plotting",
     "read_grid": "rtin.io",
     "read_mesh": "rtin.io",
+    "refine": "rtin.refinement",
+    "refine_to": "rtin.refinement",
     "vertex_errors": "rtin.criteria",
     "vertical_error": "rtin.criteria",
     "write_mesh": "rtin.io",
@@ -42,6 +45,8 @@ __all__ = [
     "plot",
     "read_grid",
     "read_mesh",
+    "refine",
+    "refine_to",
     "vertex_errors",
     "vertical_error",
     "write_mesh",

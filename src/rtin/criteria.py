@@ -19,8 +19,6 @@ from rtin.mesh import TriangleMesh
 
 __all__ = ["VerticalError", "vertex_errors", "vertical_error"]
 
-_SNAP = 1e-6
-
 
 def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
     """Return E(v) of Eq. (1) for every sample, on its own level of the hierarchy.
@@ -152,7 +150,7 @@ class _Band:
 def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
     from rtin._kernels.criteria import triangles_by_band
 
-    places, z = _places(mesh, grid), np.ascontiguousarray(mesh.vertices[:, 2])
+    places, z = grid.places(mesh.vertices[:, :2]), np.ascontiguousarray(mesh.vertices[:, 2])
     rows = _parallel.row_bands(grid.shape[0])
     band_of_row = np.repeat(np.arange(len(rows)), [end - first for first, end in rows])
     members, starts = triangles_by_band(places, mesh.triangles, band_of_row, len(rows))
@@ -160,19 +158,6 @@ def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
         (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members[start:stop]),)
         for (first, end), start, stop in zip(rows, starts, starts[1:], strict=False)
     ]
-
-
-def _places(mesh: TriangleMesh, grid: Grid) -> NDArray[np.float64]:
-    """Return row and column of each vertex."""
-    a, b, x0, d, e, y0 = tuple(grid.transform)[:6]
-    # From the raster's own origin, so that large coordinates don't cost digits.
-    x, y = mesh.vertices[:, 0] - x0, mesh.vertices[:, 1] - y0
-    determinant = a * e - b * d
-    places = np.empty((len(x), 2))
-    places[:, 0] = (a * y - d * x) / determinant
-    places[:, 1] = (e * x - b * y) / determinant
-    nearest = np.rint(places)
-    return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
 
 
 def _surface_of_band(band: _Band) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid"]
 
+_SNAP = 1e-6  # of a cell
 # Squares of heights up to this one, and sums of them, stay within float64. A NumPy scalar, so that
 # float32 heights are compared with it as float64.
 _LARGEST_HEIGHT = np.float64(1e100)
@@ -118,6 +119,49 @@ class Grid:
             data = data.transpose()
         crs = getattr(getattr(data, "rio", None), "crs", None)
         return cls(_unpacked(data), _transform_of(data, has_crs=crs is not None), crs)
+
+    def places(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return row and column, with fractions, of each point of the world, both of shape (n, 2).
+
+        Points closer than a millionth of a cell to a sample's place are taken to be at it.
+        """
+        points = np.asarray(xy, np.float64)
+        a, b, x0, d, e, y0 = tuple(self.transform)[:6]
+        # From the raster's own origin, so that large coordinates don't cost digits.
+        x, y = points[:, 0] - x0, points[:, 1] - y0
+        determinant = a * e - b * d
+        places = np.empty((len(x), 2))
+        places[:, 0] = (a * y - d * x) / determinant
+        places[:, 1] = (e * x - b * y) / determinant
+        nearest = np.rint(places)
+        return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
+
+    def heights_at(self, xy: ArrayLike) -> NDArray[np.float64]:
+        """Return the height at each point of the world: exact at samples, bilinear between them.
+
+        Parameters
+        ----------
+        xy : array_like, shape (n, 2)
+            In the units of the CRS.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            NaN outside the raster, and where a sample that counts has no height.
+        """
+        places = self.places(xy)
+        with np.errstate(invalid="ignore"):
+            inside = ((places >= 0.0) & (places <= np.subtract(self.shape, 1))).all(axis=1)
+        heights = np.full(len(places), np.nan)
+        first = np.floor(places[inside]).astype(np.intp)
+        share = places[inside] - first
+        total = np.zeros(len(first))
+        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            weight = np.abs(1 - down - share[:, 0]) * np.abs(1 - right - share[:, 1])
+            row, col = np.minimum(np.add(first, (down, right)), np.subtract(self.shape, 1)).T
+            total += np.where(weight > 0.0, weight * self.heights[row, col], 0.0)
+        heights[inside] = total
+        return heights
 
     def __repr__(self) -> str:
         rows, cols = self.shape

@@ -77,18 +77,17 @@ class TriangleMesh:
         """Return a mesh of foreign triangles, each put in the order that ``TriangleMesh`` wants.
 
         Triangles are turned counter-clockwise seen from above and rotated until vertices 0 and 1
-        end the longest edge, measured in x and y (the first of equal ones, walking from the
-        triangle's own vertex 0). Neither the vertices nor the order of the triangles changes.
+        end the longest edge, measured in x and y. Edges whose lengths differ by less than a
+        millionth are equal; of these the one most along a fixed direction is taken, so that both
+        triangles beside it agree, however they are numbered. Neither the vertices nor the order of
+        the triangles changes.
         """
+        from rtin._kernels.refinement import put_longest_sides_first
+
         mesh = cls(vertices, triangles, crs, tags)
         corners = mesh.triangles.copy()
-        clockwise = mesh.signed_areas() < 0.0
-        corners[clockwise] = corners[clockwise][:, ::-1]
-        points = mesh.vertices[corners, :2]
-        edges = np.roll(points, -1, axis=1) - points
-        first = np.argmax((edges**2).sum(axis=2), axis=1)
-        order = (first[:, np.newaxis] + np.arange(3)) % 3
-        return cls(mesh.vertices, np.take_along_axis(corners, order, axis=1), mesh.crs, mesh.tags)
+        put_longest_sides_first(mesh.vertices, corners)
+        return cls(mesh.vertices, corners, mesh.crs, mesh.tags)
 
     @property
     def n_vertices(self) -> int:

@@ -11,7 +11,7 @@ it is measured in the world or on the lattice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rtin._edges import directed_edges, edge_ends, undirected_keys
 from rtin.mesh import TriangleMesh, require_mesh
 
-__all__ = ["InvalidMesh", "check", "complaints", "is_closed"]
+__all__ = ["InvalidMesh", "check", "check_triangles", "complaints", "has_gaps", "is_closed"]
 
 _Numbers = NDArray[np.int64]
 _Places = NDArray[np.float64]
@@ -55,6 +55,27 @@ def check(mesh: TriangleMesh) -> None:
         raise InvalidMesh(complaint.first)
 
 
+def check_triangles(mesh: TriangleMesh) -> None:
+    """Raise what ``check`` raises, but let vertices pass that belong to no triangle."""
+    for complaint in _complaints(mesh, [find for find in _FINDERS if find is not _unused]):
+        raise InvalidMesh(complaint.first)
+
+
+def has_gaps(mesh: TriangleMesh, boundary: _Numbers) -> bool:
+    """Return whether boundary edges hide a hanging vertex, or vertices at the same place.
+
+    ``boundary`` numbers them ``3 * triangle + side``, as found in an otherwise right mesh.
+    """
+    owners, sides = np.divmod(boundary, 3)
+    triangles = mesh.triangles[owners]
+    ends = np.column_stack([mesh.triangles[owners, sides], mesh.triangles[owners, (sides + 1) % 3]])
+    places = mesh.vertices[:, :2]
+    rim = places[np.unique(ends)]
+    rim = rim[np.lexsort(rim.T)]
+    repeated = bool((np.diff(rim, axis=0) == 0.0).all(axis=1).any())
+    return repeated or len(_hanging(places, ends.astype(np.int64), triangles)) > 0
+
+
 def complaints(mesh: TriangleMesh) -> list[str]:
     """Return one line for each kind of fault of a mesh: the first of them, and how many there are.
 
@@ -77,9 +98,11 @@ def is_closed(mesh: TriangleMesh) -> bool:
     return mesh.n_triangles > 0 and bool((uses == 2).all())
 
 
-def _complaints(mesh: TriangleMesh) -> Iterator[_Complaint]:
+def _complaints(
+    mesh: TriangleMesh, finders: Sequence[_Finder] | None = None
+) -> Iterator[_Complaint]:
     examined = _examined(require_mesh(mesh))
-    for find in _FINDERS:
+    for find in _FINDERS if finders is None else finders:
         complaint = find(examined)
         if complaint is not None:
             yield complaint
@@ -106,6 +129,9 @@ class _Examined(NamedTuple):
     repeats_a_corner: NDArray[np.bool_]
     turns: NDArray[np.int8]  # 1 counter-clockwise, -1 clockwise, 0 without an area
     edges: _Edges
+
+
+_Finder = Callable[[_Examined], _Complaint | None]
 
 
 def _examined(mesh: TriangleMesh) -> _Examined:
@@ -252,15 +278,20 @@ def _hanging_vertex(mesh: _Examined) -> _Complaint | None:
     ends, triangles = edges.ends[lone], edges.triangles[lone]
     finite = np.isfinite(mesh.vertices[ends, :2]).all(axis=(1, 2))
     ends, triangles = ends[finite], triangles[finite]
-    pairs = _vertices_inside(mesh.vertices[:, :2], ends)
-    own = (mesh.triangles[triangles[pairs[:, 0]]] == pairs[:, 1:]).any(axis=1)
-    pairs = pairs[~own]
+    pairs = _hanging(mesh.vertices[:, :2], ends, mesh.triangles[triangles])
     if not len(pairs):
         return None
     edge, vertex = pairs[np.lexsort(pairs.T)[0]]
     (a, b), place = ends[edge], _numbers(mesh.vertices[vertex, :2])
     message = f"vertex {vertex} hangs inside edge {a}-{b} of triangle {triangles[edge]}, at {place}"
     return _Complaint(message, len(np.unique(pairs[:, 1])))
+
+
+def _hanging(places: _Places, ends: _Numbers, triangles: NDArray[np.int32]) -> _Numbers:
+    """Return (edge, vertex) for each vertex inside an edge, whose triangle it is no corner of."""
+    pairs = _vertices_inside(places, ends)
+    own = (triangles[pairs[:, 0]] == pairs[:, 1:]).any(axis=1)
+    return np.asarray(pairs[~own])
 
 
 def _vertices_inside(places: _Places, ends: _Numbers) -> _Numbers:
@@ -345,7 +376,7 @@ def _numbers(values: _Places) -> str:
     return "(" + ", ".join(f"{value:.10g}" for value in values) + ")"
 
 
-_FINDERS: tuple[Callable[[_Examined], _Complaint | None], ...] = (
+_FINDERS: tuple[_Finder, ...] = (
     _not_finite,
     _repeated_corner,
     _no_area,

@@ -135,38 +135,88 @@ def triangles_by_band(places, triangles, band_of_row, n_bands):
 
 
 @jit
+def rise(places, z, a, b, c):
+    """Height of the plane through three vertices per row and per column; NaN on a flat line."""
+    a_row, a_col = places[a, 0] - places[c, 0], places[a, 1] - places[c, 1]
+    b_row, b_col = places[b, 0] - places[c, 0], places[b, 1] - places[c, 1]
+    determinant = a_row * b_col - b_row * a_col
+    if determinant == 0.0:
+        return np.nan, np.nan
+    a_rise, b_rise = z[a] - z[c], z[b] - z[c]
+    row_slope = (a_rise * b_col - b_rise * a_col) / determinant
+    return row_slope, (b_rise * a_row - a_rise * b_row) / determinant
+
+
+@jit
+def first_and_end_row(places, a, b, c, first_row, end_row):
+    """Rows from first_row to before end_row that have samples within 1e-9 cells of a triangle."""
+    top = min(places[a, 0], places[b, 0], places[c, 0])
+    bottom = max(places[a, 0], places[b, 0], places[c, 0])
+    first = max(first_row, int(np.ceil(max(top, first_row) - 1e-9)))
+    return first, min(end_row, int(np.floor(min(bottom, end_row) + 1e-9)) + 1)
+
+
+@jit
+def first_and_end_col(places, a, b, c, row, n_cols):
+    """Columns of the samples in a row that are within 1e-9 cells of a triangle."""
+    a_row, b_row, c_row = places[a, 0], places[b, 0], places[c, 0]
+    a_col, b_col, c_col = places[a, 1], places[b, 1], places[c, 1]
+    at = min(max(np.float64(row), min(a_row, b_row, c_row)), max(a_row, b_row, c_row))
+    left, right = np.inf, -np.inf
+    left, right = columns_between(a_row, a_col, b_row, b_col, at, left, right)
+    left, right = columns_between(b_row, b_col, c_row, c_col, at, left, right)
+    left, right = columns_between(c_row, c_col, a_row, a_col, at, left, right)
+    first = int(np.ceil(min(max(left, 0.0), n_cols) - 1e-9))
+    return max(0, first), min(n_cols, int(np.floor(min(right, n_cols) + 1e-9)) + 1)
+
+
+@jit
 def fill_surface(places, z, triangles, members, first_row, surface):
     """Write a mesh's height at each sample of some rows that it covers.
 
     ``places`` holds row and column of each vertex, ``members`` lists the triangles that reach into
-    these rows. Samples within 1e-9 cells of a triangle count as inside; on a shared edge the last
-    triangle writes, whose plane agrees there.
+    these rows. On a shared edge the last triangle writes, whose plane agrees there.
     """
-    end_row = first_row + surface.shape[0]
-    n_cols = surface.shape[1]
+    end_row, n_cols = first_row + surface.shape[0], surface.shape[1]
     for triangle in members:
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
-        a_row, b_row, c_row = places[a, 0], places[b, 0], places[c, 0]
-        top, bottom = min(a_row, b_row, c_row), max(a_row, b_row, c_row)
-        a_col, b_col, c_col = places[a, 1], places[b, 1], places[c, 1]
-        determinant = (a_row - c_row) * (b_col - c_col) - (b_row - c_row) * (a_col - c_col)
-        if determinant == 0.0:
+        row_slope, col_slope = rise(places, z, a, b, c)
+        if np.isnan(row_slope):
             continue
-        a_rise, b_rise = z[a] - z[c], z[b] - z[c]
-        row_slope = (a_rise * (b_col - c_col) - b_rise * (a_col - c_col)) / determinant
-        col_slope = (b_rise * (a_row - c_row) - a_rise * (b_row - c_row)) / determinant
-        start = max(first_row, int(np.ceil(top - 1e-9)))
-        for row in range(start, min(end_row - 1, int(np.floor(bottom + 1e-9))) + 1):
-            at = min(max(np.float64(row), top), bottom)
-            left, right = np.inf, -np.inf
-            left, right = columns_between(a_row, a_col, b_row, b_col, at, left, right)
-            left, right = columns_between(b_row, b_col, c_row, c_col, at, left, right)
-            left, right = columns_between(c_row, c_col, a_row, a_col, at, left, right)
-            value = z[c] + row_slope * (row - c_row)
-            for col in range(
-                max(0, int(np.ceil(left - 1e-9))), min(n_cols - 1, int(np.floor(right + 1e-9))) + 1
-            ):
-                surface[row - first_row, col] = value + col_slope * (col - c_col)
+        start, stop = first_and_end_row(places, a, b, c, first_row, end_row)
+        for row in range(start, stop):
+            value = z[c] + row_slope * (row - places[c, 0])
+            left, right = first_and_end_col(places, a, b, c, row, n_cols)
+            for col in range(left, right):
+                surface[row - first_row, col] = value + col_slope * (col - places[c, 1])
+
+
+@jit
+def is_off(places, z, a, b, c, heights, tolerance):
+    """Whether some sample under the triangle (a, b, c) is farther from it than is allowed there.
+
+    ``tolerance`` is of the raster's shape, or has one row and column for all samples.
+    """
+    one = tolerance.size == 1
+    row_slope, col_slope = rise(places, z, a, b, c)
+    start, stop = first_and_end_row(places, a, b, c, 0, heights.shape[0])
+    for row in range(start, stop):
+        value = z[c] + row_slope * (row - places[c, 0])
+        left, right = first_and_end_col(places, a, b, c, row, heights.shape[1])
+        for col in range(left, right):
+            allowed = tolerance[0, 0] if one else tolerance[row, col]
+            if abs(value + col_slope * (col - places[c, 1]) - heights[row, col]) > allowed:
+                return True
+    return False
+
+
+@jit
+def find_off(places, z, triangles, first, end, heights, tolerance, wanted):
+    """Of the wanted triangles from first to before end, keep those that are off, in place."""
+    for triangle in range(first, end):
+        if wanted[triangle]:
+            a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+            wanted[triangle] = is_off(places, z, a, b, c, heights, tolerance)
 
 
 @jit

@@ -1,0 +1,54 @@
+"""The neighbours of triangles, for algorithms that walk over a mesh; only of a right mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin import _parallel, validity
+from rtin.mesh import TriangleMesh
+
+__all__ = ["twins_of"]
+
+_Numbers = NDArray[np.int32]
+
+
+def twins_of(mesh: TriangleMesh) -> _Numbers:
+    """Return the twin of each half-edge ``3 * triangle + side``, -1 on the boundary, shape (3m,).
+
+    Raises
+    ------
+    InvalidMesh
+        If ``mesh`` is no right mesh, as ``validity.check`` says, but vertices that belong to no
+        triangle are let pass.
+    ValueError
+        If it has 2**31 / 3 triangles or more.
+    """
+    if mesh.n_triangles > np.iinfo(np.int32).max // 3:
+        raise ValueError(f"at most 715827882 triangles are wanted, got {mesh.n_triangles}")
+    twins = _paired(mesh) if _turns_left(mesh) else None
+    if twins is None or validity.has_gaps(mesh, np.flatnonzero(twins < 0)):
+        validity.check_triangles(mesh)
+        twins = _paired(mesh)
+    if twins is None:
+        raise validity.InvalidMesh("an edge belongs to more than two triangles")
+    return twins
+
+
+def _turns_left(mesh: TriangleMesh) -> bool:
+    from rtin._kernels.adjacency import all_turn_left
+
+    bands = _parallel.row_bands(mesh.n_triangles)
+    return all(_parallel.run(all_turn_left, [(mesh.vertices, mesh.triangles, *b) for b in bands]))
+
+
+def _paired(mesh: TriangleMesh) -> _Numbers | None:
+    """Return the twins, or None where an edge has more than one half-edge in a direction."""
+    from rtin._kernels.adjacency import pair_edges
+
+    twins, earlier = np.empty((2, 3 * mesh.n_triangles), np.int32)
+    latest = np.full(mesh.n_vertices, -1, np.int32)
+    # Each task looks at all edges and keeps those of its vertices: no more tasks than threads.
+    bands = _parallel.row_bands(mesh.n_vertices, most=_parallel.thread_count())
+    tasks = [(mesh.triangles, *band, latest, earlier, twins) for band in bands]
+    return twins if all(_parallel.run(pair_edges, tasks)) else None

@@ -1,0 +1,72 @@
+"""Which triangle lies behind each edge.
+
+Half-edge ``3 * triangle + side`` runs from corner ``side`` of a triangle to the next corner. The
+*twin* of a half-edge is the one that runs along the same edge in the neighbour, -1 on the boundary.
+"""
+
+import numpy as np
+
+from rtin._kernels._jit import jit
+
+
+@jit
+def next_side(side):
+    """The side that begins where this one ends."""
+    return side + 1 if side < 2 else 0
+
+
+@jit
+def next_edge(half_edge):
+    """The half-edge of the same triangle that begins where this one ends."""
+    return half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
+
+
+@jit
+def previous_edge(half_edge):
+    """The half-edge of the same triangle that ends where this one begins."""
+    return half_edge + 2 if half_edge % 3 == 0 else half_edge - 1
+
+
+@jit
+def pair_edges(triangles, first_vertex, end_vertex, latest, earlier, twins):
+    """Write the twins of edges whose smaller vertex is in a range; False if one has a third side.
+
+    The first half-edge of each edge is kept in a list at the edge's smaller vertex: ``latest`` is
+    the list's head, ``earlier`` leads on from each half-edge, -1 ends it.
+    """
+    for triangle in range(triangles.shape[0]):
+        for side in range(3):
+            start, end = triangles[triangle, side], triangles[triangle, next_side(side)]
+            low = min(start, end)
+            if low < first_vertex or low >= end_vertex:
+                continue
+            half_edge = 3 * triangle + side
+            other = latest[low]
+            while other >= 0:
+                other_start = triangles[other // 3, other % 3]
+                if other_start + triangles[other // 3, next_side(other % 3)] == start + end:
+                    break
+                other = earlier[other]
+            if other < 0:
+                earlier[half_edge], latest[low] = latest[low], half_edge
+                twins[half_edge] = -1
+            elif other_start == start or twins[other] >= 0:
+                return False
+            else:
+                twins[half_edge], twins[other] = other, half_edge
+    return True
+
+
+@jit
+def all_turn_left(vertices, triangles, first, end):
+    """Whether some triangles are clearly counter-clockwise, with finite corners."""
+    for triangle in range(first, end):
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        along_x, along_y = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+        to_x, to_y = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
+        area = along_x * to_y - along_y * to_x
+        extent = along_x * along_x + along_y * along_y + to_x * to_x + to_y * to_y
+        height_sum = vertices[a, 2] + vertices[b, 2] + vertices[c, 2]
+        if not (area > 1e-11 * extent and np.isfinite(height_sum)):
+            return False
+    return True
