@@ -391,7 +391,7 @@ def test_a_glb_that_another_program_changed_keeps_its_place_but_not_our_order(tm
 def test_an_unknown_extension_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r"\.glb, .*\.html, got '\.gltf' in mesh\.gltf"):
         write_mesh(bumpy(), "mesh.gltf")
-    with pytest.raises(ValueError, match=r"\.glb, .*\.vtp, got '\.html' in mesh\.html"):
+    with pytest.raises(ValueError, match=r"\.glb, .*\.2dm, got '\.html' in mesh\.html"):
         read_mesh("mesh.html")
     with pytest.raises(ValueError, match="got 'none'"):
         placement_of(bumpy(), "mesh")

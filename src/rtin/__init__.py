@@ -13,7 +13,15 @@ if TYPE_CHECKING:
     from rtin.coarsening import coarsen, coarsen_levels
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
     from rtin.grid import Grid
-    from rtin.io import read_grid, read_mesh, write_mesh
+    from rtin.io import (
+        from_skfem,
+        from_triangulation,
+        read_grid,
+        read_mesh,
+        to_skfem,
+        to_triangulation,
+        write_mesh,
+    )
     from rtin.mesh import TriangleMesh
     from rtin.plotting import plot
     from rtin.refinement import refine, refine_to
@@ -24,11 +32,15 @@ _MODULE_OF = {
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
     "coarsen_levels": "rtin.coarsening",
+    "from_skfem": "rtin.io",
+    "from_triangulation": "rtin.io",
     "plot": "rtin.plotting",
     "read_grid": "rtin.io",
     "read_mesh": "rtin.io",
     "refine": "rtin.refinement",
     "refine_to": "rtin.refinement",
+    "to_skfem": "rtin.io",
+    "to_triangulation": "rtin.io",
     "vertex_errors": "rtin.criteria",
     "vertical_error": "rtin.criteria",
     "write_mesh": "rtin.io",
@@ -42,11 +54,15 @@ __all__ = [
     "__version__",
     "coarsen",
     "coarsen_levels",
+    "from_skfem",
+    "from_triangulation",
     "plot",
     "read_grid",
     "read_mesh",
     "refine",
     "refine_to",
+    "to_skfem",
+    "to_triangulation",
     "vertex_errors",
     "vertical_error",
     "write_mesh",

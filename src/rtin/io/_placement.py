@@ -89,6 +89,7 @@ class PlacedMesh:
         Smallest and largest x, y and z of the terrain, without a solid's bottom, in the file.
     is_solid : bool
         Whether walls and a bottom are there.
+    tags : int32, shape (m,), or None
     """
 
     vertices: NDArray[np.float64]
@@ -96,6 +97,7 @@ class PlacedMesh:
     placement: Placement
     terrain_bounds: NDArray[np.float64]
     is_solid: bool
+    tags: NDArray[np.int32] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return what a file has to store so that a reader can undo the placement.
@@ -131,9 +133,10 @@ def place(mesh: TriangleMesh, placed: Placement, base: float | None) -> PlacedMe
 
     ``base`` is in file units: heights that are exaggerated do not thicken the bottom.
     """
-    terrain = TriangleMesh(placed.to_file(mesh.vertices), mesh.triangles)
+    terrain = TriangleMesh(placed.to_file(mesh.vertices), mesh.triangles, tags=mesh.tags)
     shape = terrain if base is None else solid.close(terrain, base)
-    return PlacedMesh(shape.vertices, shape.triangles, placed, terrain.bounds, base is not None)
+    is_solid = base is not None
+    return PlacedMesh(shape.vertices, shape.triangles, placed, terrain.bounds, is_solid, shape.tags)
 
 
 def placement(

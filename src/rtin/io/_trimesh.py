@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin.io._cells import FileMesh
 from rtin.io._gltf import z_up
 from rtin.io._numbers import require_plausible
 
@@ -19,7 +20,7 @@ _MARK = {".ply": b"comment rtin ", ".obj": b"# rtin "}
 _HEADER_BYTES = 1 << 16
 
 
-def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:
+def read(path: Path) -> FileMesh:
     """Return vertices, triangles and the stored placement (or None) of a file.
 
     Several meshes in one file become one; z is up for GLB too.
@@ -38,14 +39,14 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
     scene: Any = trimesh.load(file, file_type=suffix[1:], force="scene", process=False, **options)
     vertices, triangles, stored = _joined(scene)
     if suffix == ".glb":
-        return z_up(vertices), triangles, stored
+        return FileMesh(z_up(vertices), triangles, stored)
     stored = _stored_in_header(path, suffix)
     if stored is not None and stored["triangles"] != len(triangles):
         raise ValueError(
             f"{stored['triangles']} triangles are announced but {len(triangles)} are there; "
             "the file is cut short, or was changed without its first comment"
         )
-    return vertices, triangles, stored
+    return FileMesh(vertices, triangles, stored)
 
 
 def _announced(glb: bytes) -> int:

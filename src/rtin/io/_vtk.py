@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtin.io._cells import FileMesh, find_tags
 from rtin.io._numbers import require_plausible
 from rtin.io._placement import PlacedMesh
 
@@ -45,6 +45,8 @@ def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN4
     The placement is an array of ASCII codes: meshio reads no file that has an array of strings.
     """
     data.point_data["elevation"] = placed.vertices[:, 2]  # what ParaView colours by
+    if placed.tags is not None:
+        data.cell_data["tag"] = placed.tags
     data.field_data["rtin"] = np.frombuffer(placed.as_json().encode("ascii"), dtype=np.uint8)
     writer.SetInputData(data)
     writer.SetDataModeToBinary()
@@ -55,8 +57,8 @@ def _encoded(writer: Any, data: Any, placed: PlacedMesh) -> bytes:  # noqa: ANN4
     return text.encode()
 
 
-def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any]:
-    """Return vertices, triangles and the stored placement (or None) of a .vtp or .vtu file."""
+def read(path: Path) -> FileMesh:
+    """Return what is in a .vtp or .vtu file."""
     pyvista = require_pyvista()
     # VTK ends the process where a damaged number asks for more memory than there is.
     content = path.read_bytes()
@@ -70,11 +72,29 @@ def read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.integer[Any]], Any
     if isinstance(data, pyvista.PolyData):
         surface = data if data.is_all_triangles else data.triangulate()
         triangles = surface.faces.reshape(-1, 4)[:, 1:]
+        # Cells are numbered points first, then lines, then faces.
+        cells = surface.n_verts + surface.n_lines + np.arange(len(triangles))
     else:
+        _require_flat_cells(data)
         surface = data.triangulate()
         triangles = surface.cells_dict.get(pyvista.CellType.TRIANGLE, np.empty((0, 3), int))
-    placement = None if stored is None else json.loads(stored)
-    return np.asarray(surface.points, dtype=np.float64), np.asarray(triangles), placement
+        cells = np.flatnonzero(surface.celltypes == pyvista.CellType.TRIANGLE)
+    tags = find_tags(surface.cell_data)
+    return FileMesh(
+        np.asarray(surface.points, dtype=np.float64),
+        np.asarray(triangles),
+        None if stored is None else json.loads(stored),
+        None if tags is None else tags[cells],
+    )
+
+
+def _require_flat_cells(data: Any) -> None:  # noqa: ANN401
+    """Raise ValueError where an unstructured grid has cells with a volume, such as tetrahedra."""
+    for first in np.unique(data.celltypes, return_index=True)[1].tolist():
+        cell = data.GetCell(first)
+        if cell.GetCellDimension() > 2:
+            kind = cell.GetClassName().removeprefix("vtk")
+            raise ValueError(f"triangles and quads are wanted, got cells of kind {kind}")
 
 
 @contextmanager

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import require_place, write_bytes
-from rtin.io import _gltf, _polygons, _trimesh, _vtk, html
+from rtin.io import _gltf, _gmsh, _polygons, _sms, _trimesh, _vtk, _xdmf, html
+from rtin.io._cells import FileMesh
 from rtin.io._numbers import as_positive
 from rtin.io._placement import PlacedMesh, Placement, place, placement
 from rtin.mesh import TriangleMesh, require_mesh
@@ -32,15 +33,24 @@ _ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
     ".stl": _polygons.stl,
     ".vtu": _vtk.vtu,
     ".vtp": _vtk.vtp,
+    ".msh": _gmsh.msh,
+    ".xdmf": _xdmf.xdmf,
+    ".2dm": _sms.sms,
     ".html": html.page,
 }
 _IN_32_BITS = (".glb", ".stl", ".html")
 # A third of what float32 holds, so that differences fit too.
 _LARGEST_32_BIT = 1e38
-_DECODERS = {
-    suffix: _vtk.read if suffix.startswith(".vt") else _trimesh.read
-    for suffix in _ENCODERS
-    if suffix != ".html"
+_DECODERS: dict[str, Callable[[Path], FileMesh]] = {
+    ".glb": _trimesh.read,
+    ".obj": _trimesh.read,
+    ".ply": _trimesh.read,
+    ".stl": _trimesh.read,
+    ".vtu": _vtk.read,
+    ".vtp": _vtk.read,
+    ".msh": _gmsh.read,
+    ".xdmf": _xdmf.read,
+    ".2dm": _sms.read,
 }
 
 
@@ -192,7 +202,7 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
         pass
     try:
         with np.errstate(all="ignore"):  # a damaged file holds infinite vertices too
-            mesh = _as_mesh(*_DECODERS[suffix](file))
+            mesh = _as_mesh(_DECODERS[suffix](file))
     except ImportError:
         raise
     except Exception as error:  # what a parser raises on a broken file is anything at all
@@ -203,16 +213,15 @@ def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
     return mesh
 
 
-def _as_mesh(
-    points: NDArray[np.float64], triangles: NDArray[np.integer[Any]], stored: dict[str, Any] | None
-) -> TriangleMesh:
+def _as_mesh(found: FileMesh) -> TriangleMesh:
+    points, triangles, stored, tags = found
     if stored is None:
-        return TriangleMesh.from_triangles(*_merged(points, triangles))
+        return TriangleMesh.from_triangles(*_merged(points, triangles), tags=tags)
     placed = Placement.from_dict(stored)
     if (stored.get("vertices"), stored.get("triangles")) == (len(points), len(triangles)):
-        return TriangleMesh(placed.to_world(points), triangles, placed.crs)
+        return TriangleMesh(placed.to_world(points), triangles, placed.crs, tags)
     points, triangles = _merged(points, triangles)
-    return TriangleMesh.from_triangles(placed.to_world(points), triangles, placed.crs)
+    return TriangleMesh.from_triangles(placed.to_world(points), triangles, placed.crs, tags)
 
 
 def _merged(

@@ -42,6 +42,8 @@ def close(mesh: TriangleMesh, base: float) -> TriangleMesh:
         edge with four walls. There each part gets its own copy of the vertex, pulled sideways into
         that part by 1 % of the distance to the nearest opposite edge; no other vertex moves.
 
+        Where ``mesh`` has tags, the terrain's triangles keep theirs and all others have 0.
+
     Raises
     ------
     ValueError
@@ -57,7 +59,9 @@ def close(mesh: TriangleMesh, base: float) -> TriangleMesh:
     bottom[:, 2] = top[corners, 2].min() - base
     walls = _walls(corners, len(top))
     triangles = np.concatenate([corners, corners[:, ::-1] + len(top), walls])
-    return TriangleMesh(np.concatenate([top, bottom]), triangles, mesh.crs)
+    others = np.zeros(len(triangles) - mesh.n_triangles, dtype=np.int32)
+    tags = None if mesh.tags is None else np.concatenate([mesh.tags, others])
+    return TriangleMesh(np.concatenate([top, bottom]), triangles, mesh.crs, tags)
 
 
 def _check(mesh: TriangleMesh) -> None:
