@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rtin._version import __version__
 
 if TYPE_CHECKING:
+    from rtin.adaptive import AdaptiveMesh
     from rtin.coarsening import coarsen, coarsen_levels
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
     from rtin.grid import Grid
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from rtin.refinement import refine, refine_to
 
 _MODULE_OF = {
+    "AdaptiveMesh": "rtin.adaptive",
     "Grid": "rtin.grid",
     "TriangleMesh": "rtin.mesh",
     "VerticalError": "rtin.criteria",
@@ -48,6 +50,7 @@ _MODULE_OF = {
 _SUBMODULES = ("io", "samples", "validity")
 
 __all__ = [
+    "AdaptiveMesh",
     "Grid",
     "TriangleMesh",
     "VerticalError",

@@ -317,7 +317,7 @@ def _marked(
     if len(targets) == n_triangles and scheme.sides == ALL_SIDES:
         return np.full(n_triangles, ALL_SIDES, np.uint8)
     marks = np.zeros(n_triangles, np.uint8)
-    mark_and_propagate(targets, scheme.sides, twins, marks)
+    mark_and_propagate(targets, scheme.sides, twins, marks, np.empty(n_triangles, np.int32))
     return marks
 
 

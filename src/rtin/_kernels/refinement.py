@@ -43,6 +43,13 @@ IS_SIMILAR[:, 3, 1] = IS_SIMILAR[:, 5, 1] = True
 IS_SIMILAR[LONGEST_EDGE, 7, 1:3] = True
 IS_SIMILAR[SELF_SIMILAR, 7] = True
 
+# How many bisections a child is from its parent.
+DEPTH = np.zeros((8, 4), np.uint8)
+DEPTH[1, :2] = 1
+DEPTH[3, :3] = 1, 2, 2
+DEPTH[5, :3] = 2, 2, 1
+DEPTH[7] = 2
+
 
 # --- the longest edge; x and y are places of the corners a, b and c -------------------------------
 
@@ -126,30 +133,42 @@ def put_longest_sides_first(vertices, triangles):
 
 
 @jit
-def mark_side(marks, twins, triangle, side):
-    """Mark a side in its triangle and in the one behind; return that triangle, -1 if none."""
+def mark_side(marks, twins, triangle, side, marked, n_marked):
+    """Mark a side in its triangle and in the one behind, -1 if none.
+
+    Returns that triangle and the length of ``marked``, the list of triangles with marks.
+    """
+    if marks[triangle] == 0:
+        marked[n_marked] = triangle
+        n_marked += 1
     marks[triangle] |= 1 << side
     twin = twins[3 * triangle + side]
     if twin < 0:
-        return -1
-    marks[twin // 3] |= 1 << (twin % 3)
-    return twin // 3
+        return -1, n_marked
+    behind = twin // 3
+    if marks[behind] == 0:
+        marked[n_marked] = behind
+        n_marked += 1
+    marks[behind] |= 1 << (twin % 3)
+    return behind, n_marked
 
 
 @jit
-def mark_and_propagate(targets, sides, twins, marks):
+def mark_and_propagate(targets, sides, twins, marks, marked):
     """Mark these sides of the targets, then walk over longest edges to where marks conform.
 
     Paper, RTIN-Refinement, steps 2 to 4: where a triangle has a marked side and its longest one is
-    not marked, mark that, and go on with the triangle behind it.
+    not marked, mark that, and go on with the triangle behind it. Returns how many are marked.
     """
+    n_marked = 0
     for target in targets:
         for side in range(3):
             if sides >> side & 1 == 0:
                 continue
-            triangle = mark_side(marks, twins, target, side)
+            triangle, n_marked = mark_side(marks, twins, target, side, marked, n_marked)
             while triangle >= 0 and marks[triangle] & 1 == 0:
-                triangle = mark_side(marks, twins, triangle, 0)
+                triangle, n_marked = mark_side(marks, twins, triangle, 0, marked, n_marked)
+    return n_marked
 
 
 # --- subdivision --------------------------------------------------------------------------------

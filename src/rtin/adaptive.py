@@ -1,0 +1,412 @@
+"""A mesh that is refined and coarsened again and again, and the fields that it carries.
+
+Refinement is that of ``refinement``. Coarsening is its inverse, as in Suárez and Plaza,
+"Four-triangles adaptive algorithms for RTIN terrain meshes": undo single edge bisections where the
+mesh stays conforming, without propagation. A vertex that bisection has made can go when nothing but
+that bisection's triangles are left around it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtin._adjacency import twins_of
+from rtin.grid import Grid
+from rtin.mesh import TriangleMesh, require_mesh
+from rtin.refinement import as_heights, as_scheme, as_targets, lift, too_small_to_split
+
+if TYPE_CHECKING:
+    import scipy.sparse
+
+__all__ = ["AdaptiveMesh"]
+
+_Numbers = NDArray[np.int32]
+On = Literal["vertices", "triangles"]
+
+# Room for as many again as there are, so that copying to a larger place stays rare.
+_GROWTH = 2.0
+
+
+class AdaptiveMesh:
+    """A conforming triangle mesh that follows what an application needs.
+
+    Each call of ``refine`` or ``coarsen`` takes time in proportion to what it changes, not to the
+    mesh (but for copies to a larger place, which get rarer as the mesh grows). Reading ``mesh`` and
+    transferring values takes time in proportion to the mesh.
+
+    Triangles are numbered as in ``mesh`` at the moment. A triangle keeps its number while it is
+    not split or merged, except that merging moves the last triangles into the places that become
+    free. A split one's first child (in the table of ``refine``) takes its number, the others are
+    appended; a merged one takes the number of its first child. Vertices keep their order; those
+    that are removed leave it, and new ones may come before older ones.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+        Conforming; vertices 0 and 1 of each triangle end the edge to bisect first. Its triangles
+        and vertices are never coarsened away. It is copied.
+    heights : Grid, optional
+        Gives new vertices their heights, as in ``refine``.
+
+    Raises
+    ------
+    InvalidMesh
+        If ``mesh`` is not conforming.
+    TypeError
+        If ``mesh`` is not a TriangleMesh or ``heights`` not a Grid.
+
+    Examples
+    --------
+    >>> square = TriangleMesh(
+    ...     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 2, 3], [2, 0, 1]])
+    >>> adaptive = AdaptiveMesh(square)
+    >>> new = adaptive.refine([0])
+    >>> adaptive.n_triangles
+    6
+    >>> adaptive.transfer([0.0, 1.0, 2.0, 1.0])  # of the first mesh's vertices
+    array([0. , 1. , 2. , 1. , 1. , 1.5, 0.5])
+    >>> adaptive.coarsen(new)
+    array([0, 1], dtype=int32)
+    >>> adaptive.mesh.triangles.tolist()
+    [[0, 2, 3], [2, 0, 1]]
+    """
+
+    def __init__(self, mesh: TriangleMesh, *, heights: Grid | None = None) -> None:
+        from rtin._kernels.adaptive import State
+
+        require_mesh(mesh)
+        self._heights = as_heights(heights)
+        self._crs, self._tags = mesh.crs, mesh.tags
+        n, m = mesh.n_vertices, mesh.n_triangles
+        self._state: Any = State(
+            counts=np.array([m, n, 0, 0]),
+            vertices=mesh.vertices.copy(),
+            ends=np.full((n, 2), -1, np.int32),
+            stamps=np.zeros(n, np.int32),
+            leaving=np.full(n, -1, np.int32),
+            free=np.empty(n, np.int32),
+            triangles=mesh.triangles.copy(),
+            twins=twins_of(mesh),
+            roots=np.arange(m, dtype=np.int32),
+            levels=np.zeros(m, np.uint8),
+            marks=np.zeros(m, np.uint8),
+            scratch=np.empty(m, np.int32),
+            marked=np.empty(m, np.int32),
+        )
+        self._state.leaving[mesh.triangles.ravel()] = np.arange(3 * m, dtype=np.int32)
+        self._mesh: TriangleMesh | None = mesh
+        self._change = _Change.none(n, m)
+
+    # --- what it is now -------------------------------------------------------------------------
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices."""
+        _, n_slots, n_free, _ = self._state.counts.tolist()
+        return int(n_slots - n_free)
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles."""
+        return int(self._state.counts[0])
+
+    @property
+    def mesh(self) -> TriangleMesh:
+        """The mesh as it is now, for keeps: later changes make another one."""
+        if self._mesh is None:
+            used, m = self._used(), self.n_triangles
+            triangles = self._state.triangles[:m]
+            if self._state.counts[2]:
+                triangles = self._numbers()[triangles]
+            tags = None if self._tags is None else self._tags[self._state.roots[:m]]
+            vertices = self._state.vertices[: len(used)][used]
+            self._mesh = TriangleMesh(vertices, triangles.copy(), self._crs, tags)
+        return self._mesh
+
+    @property
+    def roots(self) -> _Numbers:
+        """For each triangle, the one of the initial mesh that it lies in, int32 (m,)."""
+        return np.array(self._state.roots[: self.n_triangles])
+
+    @property
+    def levels(self) -> NDArray[np.uint8]:
+        """For each triangle, how many bisections it is from the initial mesh, uint8 (m,).
+
+        In the xy plane its area is that of its root divided by 2 ** level.
+        """
+        return np.array(self._state.levels[: self.n_triangles])
+
+    @property
+    def midpoint_parents(self) -> _Numbers:
+        """For each vertex, the ends of the edge whose midpoint it is, int32 (n, 2).
+
+        -1 for those of the initial mesh.
+        """
+        used = self._used()
+        ends = self._state.ends[: len(used)][used]
+        return np.where(ends < 0, np.int32(-1), self._numbers()[ends])
+
+    @property
+    def parents(self) -> _Numbers:
+        """For each triangle, the one it lay in before the last change, int32 (m,).
+
+        After ``coarsen``, of those that were merged the one whose number the parent has taken.
+        """
+        parents = np.arange(self.n_triangles, dtype=np.int32)
+        copies = self._change.events[self._change.events[:, 0] == 0]
+        parents[copies[:, 1]] = copies[:, 2]
+        return parents
+
+    # --- change ---------------------------------------------------------------------------------
+
+    def refine(self, targets: ArrayLike, scheme: str = "4T-LE") -> _Numbers:
+        """Split the targets, and as many triangles around them as it then takes.
+
+        Parameters
+        ----------
+        targets : array_like
+            Numbers of triangles, or a boolean for each.
+        scheme : {"4T-LE", "4T-SS", "bisection"}
+            As in ``rtin.refine``, which makes the same triangles, in another order.
+
+        Returns
+        -------
+        ndarray of int32
+            Numbers of the new triangles. ``coarsen`` of all these restores the mesh to the byte.
+
+        Raises
+        ------
+        IndexError, TypeError, ValueError
+            As ``rtin.refine`` does; the mesh is then as it was.
+        """
+        from rtin._kernels.adaptive import has_room, mark_targets, split_marked, unmark
+
+        split = as_scheme(scheme)
+        chosen = as_targets(targets, self.n_triangles)
+        n, m = self.n_vertices, self.n_triangles
+        n_marked, n_new, n_added = mark_targets(self._state, chosen, split.sides)
+        if not has_room(self._state, n_new, n_added):
+            try:
+                self._make_room(n_new, n_added)
+            except (ValueError, MemoryError):
+                unmark(self._state, n_marked)
+                raise
+        marked = self._state.marked[:n_marked].copy()
+        too_small, created, events = split_marked(
+            self._state, n_marked, n_new, n_added, split.pattern
+        )
+        if too_small >= 0:
+            raise too_small_to_split(self._state.vertices, self._state.triangles[too_small])
+        if self._heights is not None:
+            raised = self._state.vertices[created]
+            lift(raised, self._heights)
+            self._state.vertices[created] = raised
+        self._mesh = None
+        self._change = _Change(n, m, created, np.empty(0, np.int32), events)
+        return np.concatenate([marked, np.arange(m, m + n_added, dtype=np.int32)])
+
+    def coarsen(self, targets: ArrayLike) -> _Numbers:
+        """Undo bisections whose triangles are all targets, where the mesh stays conforming.
+
+        A vertex is removed when all triangles around it are targets and they are just those that
+        came of bisecting its edge. What one call of ``refine`` did at a place, to whatever depth,
+        can go in one call; what an earlier one did there needs another call.
+
+        Parameters
+        ----------
+        targets : array_like
+            Numbers of triangles, or a boolean for each.
+
+        Returns
+        -------
+        ndarray of int32
+            Numbers of the triangles that are new.
+
+        Raises
+        ------
+        IndexError, TypeError, ValueError
+            If targets are not as they should be; the mesh is then as it was.
+
+        Notes
+        -----
+        Not guaranteed: that a target becomes larger. Where the triangles beside it are finer, or
+        no targets, it stays. Vertices of the initial mesh stay for ever.
+        """
+        from rtin._kernels.adaptive import coarsen_targets
+
+        chosen = as_targets(targets, self.n_triangles)
+        n, m = self.n_vertices, self.n_triangles
+        removed, events = coarsen_targets(self._state, chosen)
+        self._mesh = None if len(removed) else self._mesh
+        self._change = _Change(n, m, np.empty(0, np.int32), removed, events)
+        return self._change.merged(self.n_triangles)
+
+    def _make_room(self, n_new: int, n_added: int) -> None:
+        m, n_slots, _, _ = self._state.counts.tolist()
+        if m + n_added > np.iinfo(np.int32).max // 3:
+            raise ValueError(
+                f"at most {np.iinfo(np.int32).max // 3} triangles can be numbered, the refined "
+                f"mesh would have {m + n_added}; mark fewer triangles"
+            )
+        sizes = {"vertices": n_slots + n_new, "triangles": m + n_added}
+        of_vertices = ("vertices", "ends", "stamps", "leaving", "free")
+        grown = {
+            name: _grown(
+                array,
+                sizes["vertices" if name in of_vertices else "triangles"],
+                3 if name == "twins" else 1,
+            )
+            for name, array in self._state._asdict().items()
+            if name != "counts"
+        }
+        self._state = self._state._replace(**grown)
+
+    # --- values ---------------------------------------------------------------------------------
+
+    def transfer(self, values: ArrayLike, on: On = "vertices") -> NDArray[np.floating[Any]]:
+        """Return values of the mesh before the last ``refine`` or ``coarsen``, for the mesh now.
+
+        Parameters
+        ----------
+        values : array_like, shape (n, ...)
+            One row for each vertex or triangle of the mesh before.
+        on : {"vertices", "triangles"}
+            Values on vertices: a new one gets the mean of its edge's ends, exact for functions
+            that are linear on each triangle; the others keep theirs. Values on triangles, which
+            are densities: children get their parent's, a parent the mean over its children; the sum
+            of value times area in the xy plane stays the same, but for rounding.
+
+        Returns
+        -------
+        ndarray of float64 (or of the values' own floating type), shape (n_now, ...)
+
+        Raises
+        ------
+        ValueError
+            If there are not as many values as there were vertices or triangles, or ``on`` is
+            neither.
+        """
+        given = np.asarray(values)
+        if given.dtype.kind not in "fc":
+            given = given.astype(np.float64)
+        sources, weights = self._sources(on)
+        n_before = self._change.n_before(on)
+        if given.ndim == 0 or len(given) != n_before:
+            raise ValueError(
+                f"a value is wanted for each of {n_before} {on} before the last change, "
+                f"got an array of shape {given.shape}"
+            )
+        shape = (-1, *[1] * (given.ndim - 1))
+        rows = np.flatnonzero(weights[:, 0] != 1.0)
+        carried = given[sources[:, 0]]
+        carried[rows] *= weights[rows, 0].reshape(shape)
+        for sources_of_rows, shares in zip(sources[rows, 1:].T, weights[rows, 1:].T, strict=True):
+            carried[rows] += shares.reshape(shape) * given[sources_of_rows]
+        return carried
+
+    def transfer_matrix(self, on: On = "vertices") -> scipy.sparse.csr_array:
+        """Return the matrix by which ``transfer`` multiplies, of shape (n_now, n_before).
+
+        Raises
+        ------
+        ImportError
+            If SciPy is not installed.
+        ValueError
+            If ``on`` is neither "vertices" nor "triangles".
+        """
+        try:
+            from scipy.sparse import csr_array
+        except ModuleNotFoundError:
+            raise ImportError(
+                "a matrix needs SciPy, which is not installed; pip install scipy"
+            ) from None
+        sources, weights = self._sources(on)
+        rows, places = np.nonzero(weights)
+        triplets = weights[rows, places], (rows, sources[rows, places])
+        return csr_array(triplets, shape=(len(sources), self._change.n_before(on)))
+
+    def _sources(self, on: On) -> tuple[_Numbers, NDArray[np.float64]]:
+        """Return what each value now comes from: numbers before the change, and weights."""
+        if on == "vertices":
+            return self._sources_of_vertices()
+        if on == "triangles":
+            return self._change.sources_of_triangles(self.n_triangles)
+        raise ValueError(f'on must be "vertices" or "triangles", got {on!r}')
+
+    def _sources_of_vertices(self) -> tuple[_Numbers, NDArray[np.float64]]:
+        used = self._used()
+        before = used.copy()
+        before[self._change.created], before[self._change.removed] = False, True
+        numbers_before = np.cumsum(before, dtype=np.int32) - np.int32(1)
+        slots = np.flatnonzero(used)
+        sources = np.repeat(numbers_before[slots, np.newaxis], 2, axis=1)
+        weights = np.zeros((len(slots), 2))
+        weights[:, 0] = 1.0
+        new = ~before[slots]
+        sources[new] = numbers_before[self._state.ends[slots[new]]]
+        weights[new] = 0.5
+        return sources, weights
+
+    def _used(self) -> NDArray[np.bool_]:
+        """Return which slots hold a vertex."""
+        return np.asarray(self._state.stamps[: self._state.counts[1]] >= 0)
+
+    def _numbers(self) -> _Numbers:
+        """Return each slot's vertex number."""
+        return np.cumsum(self._used(), dtype=np.int32) - np.int32(1)
+
+    def __repr__(self) -> str:
+        return f"<AdaptiveMesh {self.n_vertices} vertices, {self.n_triangles} triangles>"
+
+
+class _Change(NamedTuple):
+    """What the last call did: slots of vertices, and events as the kernel logs them."""
+
+    n_vertices: int  # before
+    n_triangles: int
+    created: _Numbers
+    removed: _Numbers
+    events: _Numbers  # (k, 3)
+
+    @classmethod
+    def none(cls, n_vertices: int, n_triangles: int) -> _Change:
+        empty = np.empty(0, np.int32)
+        return cls(n_vertices, n_triangles, empty, empty, np.empty((0, 3), np.int32))
+
+    def n_before(self, on: On) -> int:
+        return self.n_vertices if on == "vertices" else self.n_triangles
+
+    def merged(self, n_triangles: int) -> _Numbers:
+        """Return the numbers that changed and are still there, ascending."""
+        from rtin._kernels.adaptive import COPY, MIX
+
+        kinds, slots, others = self.events.T
+        changed = np.unique(np.concatenate([slots[kinds != COPY], others[kinds == MIX]]))
+        moved = dict(zip(others[kinds == COPY], slots[kinds == COPY], strict=True))
+        numbers = [moved.get(slot, slot) for slot in changed]
+        return np.unique(np.array([n for n in numbers if n < n_triangles], np.int32))
+
+    def sources_of_triangles(self, n_triangles: int) -> tuple[_Numbers, NDArray[np.float64]]:
+        from rtin._kernels.adaptive import MOST_SOURCES, trace
+
+        slots = np.unique(self.events[:, 1:])
+        places, shares, _ = trace(self.events, slots)
+        sources = np.repeat(np.arange(n_triangles, dtype=np.int32)[:, np.newaxis], MOST_SOURCES, 1)
+        weights = np.zeros((n_triangles, MOST_SOURCES))
+        weights[:, 0] = 1.0
+        kept = slots < n_triangles
+        sources[slots[kept]] = slots[places[kept]]
+        weights[slots[kept]] = shares[kept]
+        return sources, weights
+
+
+def _grown(array: NDArray[Any], n_wanted: int, factor: int) -> NDArray[Any]:
+    """Return a longer copy, with room to spare."""
+    if len(array) >= factor * n_wanted:
+        return array
+    larger = np.zeros((factor * int(_GROWTH * n_wanted), *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger
