@@ -32,7 +32,7 @@ from rtin.io.meshes import (
 from rtin.io.solid import close
 from rtin.mesh import TriangleMesh
 
-EXACT = [".obj", ".ply", ".vtu", ".vtp"]
+EXACT = [".obj", ".ply", ".vtu", ".vtp", ".msh", ".xdmf", ".2dm"]
 WITH_CRS = [".glb", *EXACT]
 READABLE = [*WITH_CRS, ".stl"]
 WRITABLE = [*READABLE, ".html"]
@@ -54,9 +54,13 @@ def glb_json(path):
 
 def read_independently(path):
     """Vertices (z up, as in the file) and triangles, by a program that is not ours."""
-    if path.suffix in (".vtu", ".ply"):
+    if path.suffix in (".vtu", ".ply", ".msh", ".xdmf"):
         mesh = meshio.read(path)
         return mesh.points, mesh.cells_dict["triangle"]
+    if path.suffix == ".2dm":  # by the format's description: no library that is kept up reads it
+        cards = [line.split() for line in path.read_text().splitlines()]
+        points = np.array([card[2:5] for card in cards if card[0] == "ND"], dtype=float)
+        return points, np.array([card[2:5] for card in cards if card[0] == "E3T"], dtype=int) - 1
     if path.suffix == ".vtp":
         mesh = pyvista.read(path)
         return mesh.points, mesh.faces.reshape(-1, 4)[:, 1:]

@@ -47,13 +47,15 @@ def xdmf(placed: PlacedMesh) -> bytes:
 
 
 def _attribute(name: str, values: NDArray[np.int32]) -> str:
-    item = _item(values[:, np.newaxis], "Int", 4)
+    item = _item(values, "Int", 4)
     return f'<Attribute Name="{name}" AttributeType="Scalar" Center="Cell">\n{item}</Attribute>\n'
 
 
-def _item(rows: NDArray[Any], kind: str, precision: int) -> str:
-    shape = " ".join(map(str, rows.shape))
-    lines = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+def _item(values: NDArray[Any], kind: str, precision: int) -> str:
+    """Return an array as text, each number with as many digits as reading it back exactly takes."""
+    shape = " ".join(map(str, values.shape))
+    rows = values.reshape(len(values), -1).tolist()
+    lines = "".join(" ".join(map(repr, row)) + "\n" for row in rows)
     return (
         f'<DataItem DataType="{kind}" Dimensions="{shape}" Format="XML" '
         f'Precision="{precision}">\n{lines}</DataItem>\n'

@@ -71,7 +71,12 @@ def write_mesh(
               float64 ones are rounded by at most z / 1.6e7.
     .ply      Binary, 64-bit: nothing is rounded.
     .vtu      VTK unstructured grid, .vtp VTK PolyData, 64-bit: nothing is rounded. They need
-              PyVista: ``pip install "rtin[vtk]"``.
+              PyVista: ``pip install "rtin[vtk]"``. The tags are the cell data "tag".
+    .msh      Gmsh, version 2.2, text as .obj is. The tags are the physical groups; Gmsh takes 0 for
+              no group and a negative number for a positive one.
+    .xdmf     XDMF for FEniCS and ParaView, one text file as .obj is. The tags are the cell data
+              "tag".
+    .2dm      SMS and QGIS, text as .obj is. The tags are the materials.
     .obj      Text, with as many digits as reading every number back exactly takes.
     .stl      Binary, 32-bit: rounded as .glb is. x and y count from the middle of the mesh; where
               that is in the world is lost, as is the CRS.
@@ -79,8 +84,10 @@ def write_mesh(
     ========  =====================================================================================
 
     A mesh whose CRS is geographic is scaled to metres around its middle, so that heights and widths
-    have one unit. All but .stl and .html store the CRS and what undoes shift and scale, and
-    ``read_mesh`` gives back the mesh as it was. ``placement_of`` says what is done.
+    have one unit; any other CRS keeps its x and y in all but .stl and .html. All but these two
+    store the CRS and what undoes shift and scale, and ``read_mesh`` gives back the mesh as it was.
+    ``placement_of`` says what is done. The other formats than those above do not store tags. A mesh
+    without tags has 1 everywhere in .msh and .2dm, and none again when ``read_mesh`` reads it.
 
     In a GLB, u runs from west to east and v from north to south, 0 to 1 over the vertices' bounds,
     so a north-up picture of that extent drapes as it should. Viewers multiply a texture by the
@@ -176,25 +183,33 @@ def is_mesh_path(path: str | os.PathLike[str]) -> bool:
 
 
 def read_mesh(path: str | os.PathLike[str]) -> TriangleMesh:
-    """Return the mesh in a .glb, .obj, .ply, .stl, .vtu or .vtp file.
+    """Return the mesh in a .glb, .obj, .ply, .stl, .vtu, .vtp, .msh, .xdmf or .2dm file.
 
     A file that ``write_mesh`` wrote (but for .stl) gives back vertices in the world, triangles in
     the same order, and the CRS; a solid comes back with its walls and bottom. The triangles of any
     other file, or of one that another program has changed, are taken for a terrain: z up (y up in
-    .glb), vertices at the same place merged into the first of them, polygons cut into triangles,
-    several meshes put together, and each triangle turned counter-clockwise from above with its
-    longest edge first.
+    .glb) or zero where points have x and y only, vertices at the same place merged into the first
+    of them, polygons cut into triangles, several meshes put together, and each triangle turned
+    counter-clockwise from above with its longest edge first.
+
+    Of finite elements, points and lines are passed over. Those of second order are cut at all
+    their nodes, a triangle into four, so that every node keeps its height.
+
+    Tags come from the cell data "tag", "cell_tags", "gmsh:physical", "medit:ref", "material",
+    "MaterialIDs", "material_id" or "gmsh:geometrical" of .vtu, .vtp and .xdmf, the first that has a
+    whole number of 32 bits for each cell; from the physical groups of .msh or, where no triangle
+    has one, from its surfaces; and from the materials of .2dm.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     OSError
-        If it cannot be read as what its extension says.
+        If it cannot be read as what its extension says, or has cells with a volume.
     ValueError
         If the extension is unknown or the file holds no triangle.
     ImportError
-        If the format needs PyVista and that is not installed.
+        If .vtu or .vtp needs PyVista, or .xdmf meshio and h5py, and that is not installed.
     """
     suffix = _known_suffix(path, _DECODERS)
     file = Path(path)
