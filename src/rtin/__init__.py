@@ -12,6 +12,7 @@ from rtin._version import __version__
 if TYPE_CHECKING:
     from rtin.adaptive import AdaptiveMesh
     from rtin.coarsening import coarsen, coarsen_levels
+    from rtin.conformity import Propagation, propagation
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
     from rtin.grid import Grid
     from rtin.io import (
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _MODULE_OF = {
     "AdaptiveMesh": "rtin.adaptive",
     "Grid": "rtin.grid",
+    "Propagation": "rtin.conformity",
     "TriangleMesh": "rtin.mesh",
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
@@ -37,6 +39,7 @@ _MODULE_OF = {
     "from_skfem": "rtin.io",
     "from_triangulation": "rtin.io",
     "plot": "rtin.plotting",
+    "propagation": "rtin.conformity",
     "read_grid": "rtin.io",
     "read_mesh": "rtin.io",
     "refine": "rtin.refinement",
@@ -52,6 +55,7 @@ _SUBMODULES = ("io", "samples", "validity")
 __all__ = [
     "AdaptiveMesh",
     "Grid",
+    "Propagation",
     "TriangleMesh",
     "VerticalError",
     "__version__",
@@ -60,6 +64,7 @@ __all__ = [
     "from_skfem",
     "from_triangulation",
     "plot",
+    "propagation",
     "read_grid",
     "read_mesh",
     "refine",

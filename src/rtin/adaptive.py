@@ -88,6 +88,7 @@ class AdaptiveMesh:
             stamps=np.zeros(n, np.int32),
             leaving=np.full(n, -1, np.int32),
             free=np.empty(n, np.int32),
+            waits=np.zeros(n, np.bool_),
             triangles=mesh.triangles.copy(),
             twins=twins_of(mesh),
             roots=np.arange(m, dtype=np.int32),
@@ -252,7 +253,7 @@ class AdaptiveMesh:
                 f"mesh would have {m + n_added}; mark fewer triangles"
             )
         sizes = {"vertices": n_slots + n_new, "triangles": m + n_added}
-        of_vertices = ("vertices", "ends", "stamps", "leaving", "free")
+        of_vertices = ("vertices", "ends", "stamps", "leaving", "free", "waits")
         grown = {
             name: _grown(
                 array,

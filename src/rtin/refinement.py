@@ -33,6 +33,7 @@ __all__ = [
     "lift",
     "refine",
     "refine_to",
+    "require_triangles",
     "too_small_to_split",
 ]
 
@@ -188,10 +189,11 @@ def refine_to(
     vertices = mesh.vertices.copy()
     lift(vertices, grid)
     lifted = TriangleMesh(vertices, mesh.triangles, mesh.crs, mesh.tags)
-    step = _Step(lifted, np.ones(mesh.n_triangles, np.bool_))
-    while (marked := np.flatnonzero(find(step.mesh, grid, tolerance, step.is_new))).size:
-        step = _refined(step.mesh, marked, split, grid)
-    return step.mesh
+    mesh, is_new = lifted, np.ones(mesh.n_triangles, np.bool_)
+    while (marked := np.flatnonzero(find(mesh, grid, tolerance, is_new))).size:
+        step = _refined(mesh, marked, split, grid)
+        mesh, is_new = step.mesh, step.is_new()
+    return mesh
 
 
 # --- at the door --------------------------------------------------------------------------------
@@ -209,40 +211,52 @@ def as_heights(heights: Grid | None) -> Grid | None:
     return None if heights is None else require_grid(heights)
 
 
-def as_targets(targets: Targets, n_triangles: int) -> NDArray[np.int64]:
-    """Return the numbers of triangles meant, ascending and each once.
+def as_targets(targets: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
+    """Return the numbers of the triangles meant, ascending and each once.
+
+    Raises what ``require_triangles`` raises.
+    """
+    numbers = require_triangles(targets, n_triangles)
+    return numbers if len(numbers) == 1 else np.unique(numbers)
+
+
+def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
+    """Return the numbers of the triangles meant, in the order given.
 
     Raises
     ------
     IndexError
         If one does not exist.
     ValueError
-        If a mask has not one value for each triangle, or numbers are in more than one dimension.
+        If a mask has not one value for each triangle, or numbers are not in one dimension.
     TypeError
         If they are neither whole numbers nor booleans.
     """
-    given = np.asarray(targets)
-    if given.dtype == np.bool_ and given.ndim == 1:
-        if given.shape != (n_triangles,):
+    targets = np.asarray(given)
+    if targets.dtype == np.bool_ and targets.ndim == 1:
+        if targets.shape != (n_triangles,):
             raise ValueError(
-                f"a mask of targets must have a value for each of {n_triangles} triangles, "
-                f"got {given.size}"
+                f"a mask of triangles must have a value for each of {n_triangles}, "
+                f"got {targets.size}"
             )
-        return np.flatnonzero(given)
-    if given.size == 0:
+        return np.flatnonzero(targets)
+    if targets.size == 0:
         return np.empty(0, np.int64)
-    if given.dtype.kind not in "iu":
+    if targets.dtype.kind not in "iu":
         raise TypeError(
-            "targets must be numbers of triangles or a boolean for each, "
-            f"got an array of {given.dtype} with shape {given.shape}"
+            "numbers of triangles or a boolean for each are wanted, "
+            f"got an array of {targets.dtype} with shape {targets.shape}"
         )
-    if given.ndim > 1:
-        raise ValueError(f"targets must be in one dimension, got shape {given.shape}")
-    numbers = np.unique(given)
-    if numbers[0] < 0 or numbers[-1] >= n_triangles:
-        wrong = numbers[0] if numbers[0] < 0 else numbers[-1]
-        raise IndexError(f"targets must name triangles 0 to {n_triangles - 1}, got {wrong}")
-    return numbers.astype(np.int64)
+    if targets.ndim != 1:
+        raise ValueError(
+            f"numbers of triangles must be in one dimension, got shape {targets.shape}"
+        )
+    low, high = targets.min(), targets.max()
+    if low < 0 or high >= n_triangles:
+        raise IndexError(
+            f"triangles 0 to {n_triangles - 1} are there, got {low if low < 0 else high}"
+        )
+    return targets.astype(np.int64)
 
 
 def _as_tolerance(name: str, value: ArrayLike, grid: Grid) -> NDArray[np.float64]:
@@ -277,10 +291,14 @@ def _require_overlap(mesh: TriangleMesh, grid: Grid) -> None:
 
 
 class _Step(NamedTuple):
-    """A refined mesh, and which of its triangles are new in it."""
+    """A refined mesh, and the marks of the triangles that it was refined from."""
 
     mesh: TriangleMesh
-    is_new: _Mask
+    marks: NDArray[np.uint8]
+
+    def is_new(self) -> _Mask:
+        """Return which triangles came of a split."""
+        return np.repeat(self.marks > 0, _n_children(self.marks))
 
 
 def _refined(
@@ -295,10 +313,8 @@ def _refined(
     if heights is not None:
         lift(vertices[mesh.n_vertices :], heights)
     triangles = _split(mesh, marks, twins, scheme, bands, counts[:, 1], vertices)
-    n_children = _n_children(marks)
-    tags = None if mesh.tags is None else np.repeat(mesh.tags, n_children)
-    refined = TriangleMesh(vertices, triangles, mesh.crs, tags)
-    return _Step(refined, np.repeat(marks > 0, n_children))
+    tags = None if mesh.tags is None else np.repeat(mesh.tags, _n_children(marks))
+    return _Step(TriangleMesh(vertices, triangles, mesh.crs, tags), marks)
 
 
 def lift(vertices: NDArray[np.float64], grid: Grid) -> None:

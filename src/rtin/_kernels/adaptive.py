@@ -41,6 +41,7 @@ class State(NamedTuple):
     stamps: np.ndarray  # int32 (n,): which call of refine made it; 0 if none, -1 in a free slot
     leaving: np.ndarray  # int32 (n,): a half-edge that leaves it
     free: np.ndarray  # int32 (n,): a stack of free slots
+    waits: np.ndarray  # bool (n,): false between calls
     triangles: np.ndarray  # int32 (m, 3)
     twins: np.ndarray  # int32 (3m,)
     roots: np.ndarray  # int32 (m,): the triangle of the initial mesh that it lies in
@@ -155,24 +156,25 @@ def first_too_small(state, n_marked, pattern, corners):
 
 
 @jit
-def write_triangle(state, slot, a, b, c):
+def write_triangle(triangles, leaving, slot, a, b, c):
     """Put a triangle into a slot."""
-    triangles, leaving = state.triangles, state.leaving
     triangles[slot, 0], triangles[slot, 1], triangles[slot, 2] = a, b, c
     leaving[a], leaving[b], leaving[c] = 3 * slot, 3 * slot + 1, 3 * slot + 2
 
 
 @jit
-def split_triangle(state, slot, pattern, corners, halves, events, n_events):
+def split_triangle(state, slot, pattern, corners, halves, work, events, n_events):
     """Put the children of a triangle into its slot and new ones, and join them to each other.
 
     ``halves[side]`` becomes the half-edges along a side, from its beginning and to its end: the
-    same one twice where the side is whole.
+    same one twice where the side is whole. ``work`` is room for places of the corners, and for the
+    half-edge from each corner to each other.
     """
-    x, y = np.empty(6), np.empty(6)
+    triangles, leaving = state.triangles, state.leaving
+    x, y, inner = work
     gather(state.vertices, corners, x, y)
     mark, level, root = state.marks[slot], state.levels[slot], state.roots[slot]
-    inner = np.full((6, 6), -1, np.int64)  # the half-edge from one label to another
+    inner[:] = -1
     for child in range(N_CHILDREN[mark]):
         place = slot
         if child > 0:
@@ -180,7 +182,7 @@ def split_triangle(state, slot, pattern, corners, halves, events, n_events):
             state.counts[N_TRIANGLES] += 1
             n_events = log(events, n_events, COPY, place, slot)
         a, b, c = child_of(x, y, pattern, mark, child)
-        write_triangle(state, place, corners[a], corners[b], corners[c])
+        write_triangle(triangles, leaving, place, corners[a], corners[b], corners[c])
         state.roots[place] = root
         state.levels[place] = level + DEPTH[mark, child]
         state.marks[place] = 0
@@ -222,10 +224,12 @@ def split_marked(state, n_marked, n_new, n_added, pattern):
         marks[i] = state.marks[state.marked[i]]
         for side in range(3):
             behind[i, side] = state.twins[3 * state.marked[i] + side]
+    work = np.empty(6), np.empty(6), np.empty((6, 6), np.int64)
     n_events = 0
     for i in range(n_marked):
-        slot = state.marked[i]
-        n_events = split_triangle(state, slot, pattern, corners[i], halves[i], events, n_events)
+        n_events = split_triangle(
+            state, state.marked[i], pattern, corners[i], halves[i], work, events, n_events
+        )
     join_neighbours(state, n_marked, marks, behind, halves)
     return -1, created, events
 
@@ -248,25 +252,6 @@ def join_neighbours(state, n_marked, marks, behind, halves):
             else:
                 join(twins, begin, twin)
     unmark(state, n_marked)
-
-
-@jit
-def refine_in_turn(state, shares, first, sides, pattern):
-    """Refine single triangles one after the other, each drawn as a share of the current number.
-
-    Returns how many were refined before the slots might not suffice; call again with more.
-    """
-    target = np.empty(1, np.int64)
-    for i in range(first, shares.size):
-        target[0] = int(shares[i] * state.counts[N_TRIANGLES])
-        n_marked, n_new, n_added = mark_targets(state, target, sides)
-        if not has_room(state, n_new, n_added):
-            unmark(state, n_marked)
-            return i
-        too_small, _, _ = split_marked(state, n_marked, n_new, n_added, pattern)
-        if too_small >= 0:
-            return -1 - i
-    return shares.size
 
 
 @jit
@@ -400,13 +385,14 @@ def log(events, n_events, kind, slot, other):
 @jit
 def write_leaf(state, slot, a, b, c, is_child):
     """Write a triangle, a child with its side to bisect next first; the half-edge from a to b."""
+    vertices = state.vertices
     side = 0
     if is_child:
-        x, y, corners = np.empty(3), np.empty(3), np.array((a, b, c))
-        gather(state.vertices, corners, x, y)
+        x = vertices[a, 0], vertices[b, 0], vertices[c, 0]
+        y = vertices[a, 1], vertices[b, 1], vertices[c, 1]
         side = side_to_bisect(x, y, 0, 1, 2)
     one, two, three = rotated(a, b, c, side)
-    write_triangle(state, slot, one, two, three)
+    write_triangle(state.triangles, state.leaving, slot, one, two, three)
     return 3 * slot + (3 - side) % 3
 
 
@@ -442,11 +428,8 @@ def removable_star(state, vertex, star, ring):
 
     Going on counter-clockwise from the first place one meets the triangles of the left side.
     """
-    stamp = state.stamps[vertex]
-    if stamp <= 0:
-        return 0, 0, 0
     size, is_closed = walk_star(state, vertex, star, ring)
-    if size == 0 or not may_merge(state, star, size, stamp):
+    if size == 0 or not may_merge(state, star, size, state.stamps[vertex]):
         return 0, 0, 0
     n_ring = size if is_closed else size + 1
     one = find(ring, n_ring, state.ends[vertex, 0])
@@ -501,32 +484,41 @@ def remove(state, vertex, star, ring, events, n_events):
 
 
 @jit
+def add_candidate(state, vertex, candidates, n_candidates):
+    """Put a vertex that bisection has made on the stack, if it is not there yet."""
+    if state.stamps[vertex] > 0 and not state.waits[vertex]:
+        state.waits[vertex] = True
+        candidates[n_candidates] = vertex
+        n_candidates += 1
+    return n_candidates
+
+
+@jit
 def coarsen_targets(state, targets):
     """Undo bisections among the targets, as far as one call of refine went.
 
     Removed vertices, events, and merged triangles. Each removal can make those around removable.
     """
     n_targets = targets.size
-    candidates = np.empty(12 * n_targets, np.int32)
+    candidates = np.empty(7 * n_targets, np.int32)
     removed = np.empty(n_targets, np.int32)
     events = np.empty((4 * n_targets, 3), np.int32)
     star, ring = np.empty(LARGEST_STAR, np.int64), np.empty(LARGEST_STAR + 1, np.int64)
     n_candidates, n_removed, n_events = 0, 0, 0
     for target in targets[::-1]:
         state.marks[target] = TARGET
-        for corner in range(3):
-            candidates[n_candidates] = state.triangles[target, corner]
-            n_candidates += 1
+        for vertex in state.triangles[target]:
+            n_candidates = add_candidate(state, vertex, candidates, n_candidates)
     while n_candidates > 0:
         n_candidates -= 1
         vertex = candidates[n_candidates]
+        state.waits[vertex] = False
         n_ring, n_events = remove(state, vertex, star, ring, events, n_events)
         if n_ring > 0:
             removed[n_removed] = vertex
             n_removed += 1
         for around in ring[:n_ring]:
-            candidates[n_candidates] = around
-            n_candidates += 1
+            n_candidates = add_candidate(state, around, candidates, n_candidates)
     for target in targets:
         state.marks[target] = 0
     n_events = close_gaps(state, events, n_events)
@@ -562,7 +554,8 @@ def close_gaps(state, events, n_events):
 def move_triangle(state, source, slot):
     """Move a triangle to another slot."""
     triangles, twins = state.triangles, state.twins
-    write_triangle(state, slot, triangles[source, 0], triangles[source, 1], triangles[source, 2])
+    a, b, c = triangles[source, 0], triangles[source, 1], triangles[source, 2]
+    write_triangle(triangles, state.leaving, slot, a, b, c)
     for side in range(3):
         join(twins, 3 * slot + side, twins[3 * source + side])
     state.roots[slot], state.levels[slot] = state.roots[source], state.levels[source]
