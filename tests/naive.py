@@ -336,3 +336,93 @@ def is_conforming(triangles):
         for p, q in pairwise((*triangle, triangle[0]))
         for v in vertices
     )
+
+
+# --- refinement ---------------------------------------------------------------------------------
+# Here a triangle is (a, b, c), counter-clockwise: three places (x, y, z) of floats or fractions,
+# of which a and b end the edge to bisect first.
+
+
+def refined(triangles, targets, scheme):
+    """Algorithm RTIN-Refinement of the paper: the midpoints it adds, and the triangles it leaves.
+
+    ``targets`` are numbers of triangles.
+    """
+    beside = {}  # edge: the triangles that have it
+    for triangle in triangles:
+        for edge in edges_of(triangle):
+            beside.setdefault(edge, []).append(triangle)
+
+    def conforms(triangle):
+        first, *others = edges_of(triangle)
+        return first in marked or not marked.intersection(others)
+
+    def neighbour(triangle):  # the LEneighbor
+        others = [t for t in beside[edges_of(triangle)[0]] if t != triangle]
+        return others[0] if others else None
+
+    marked = set()
+    for target in targets:  # step 1
+        marked.update(edges_of(triangles[target])[: 1 if scheme == "bisection" else 3])
+    for triangle in [t for t in triangles if not conforms(t)]:  # steps 2 and 3
+        while triangle is not None and not conforms(triangle):  # step 4
+            marked.add(edges_of(triangle)[0])
+            triangle = neighbour(triangle)
+    midpoints = [
+        middle(*edge) for t in triangles for edge in edges_of(t, directed=True)
+        if frozenset(edge) in marked
+    ]  # fmt: skip
+    leaves = [part for t in triangles for part in pieces(t, marked, scheme)]  # step 5
+    return list(dict.fromkeys(midpoints)), leaves
+
+
+def edges_of(triangle, directed=False):
+    pairs = pairwise((*triangle, triangle[0]))
+    return list(pairs) if directed else [frozenset(pair) for pair in pairs]
+
+
+def middle(a, b):
+    return tuple((p + q) / 2 for p, q in zip(a, b, strict=True))
+
+
+def pieces(triangle, marked, scheme):
+    """What becomes of a triangle: itself without a mark, or its parts by repeated bisection."""
+    if not marked.intersection(edges_of(triangle)):
+        return [triangle]
+    a, b, c = triangle
+    m, p, q = middle(a, b), middle(b, c), middle(c, a)
+    if scheme == "4T-SS" and marked.issuperset(edges_of(triangle)):
+        parts = [(q, p, c), (a, m, q), (m, b, p), (p, q, m)]
+    else:
+        parts = []
+        for start, end, apex in [(c, a, m), (b, c, m)]:
+            if frozenset((start, end)) in marked:
+                new = middle(start, end)
+                parts += [(apex, start, new), (end, apex, new)]
+            else:
+                parts.append((start, end, apex))
+    return [with_longest_first(part) for part in parts]
+
+
+def with_longest_first(triangle):
+    """The corners (start, end, newest), rotated by the rule for ties in the docstring of refine."""
+    a, b, newest = triangle
+    if nearly_equal(length_squared(b, newest), length_squared(newest, a)):
+        return triangle
+    rotations = [(a, b, newest), (b, newest, a), (newest, a, b)]
+    longest = max(length_squared(t[0], t[1]) for t in rotations)
+    tied = [t for t in rotations if nearly_equal(length_squared(t[0], t[1]), longest)]
+    return max(tied, key=lambda t: abs(along(t[0], t[1])))
+
+
+def nearly_equal(p, q):
+    return abs(p - q) <= max(p, q) / 1_000_000
+
+
+def length_squared(a, b):
+    return (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
+
+
+def along(a, b):
+    """How far b is from a in the direction one radian north of east."""
+    return float(b[0] - a[0]) * np.cos(1.0) + float(b[1] - a[1]) * np.sin(1.0)
