@@ -75,7 +75,7 @@ class AdaptiveMesh:
     """
 
     def __init__(self, mesh: TriangleMesh, *, heights: Grid | None = None) -> None:
-        from rtin._kernels.adaptive import State
+        from rtin._kernels.adaptive import N_CELL, N_NODE, State, set_up
 
         require_mesh(mesh)
         self._heights = as_heights(heights)
@@ -84,20 +84,11 @@ class AdaptiveMesh:
         self._state: Any = State(
             counts=np.array([m, n, 0, 0]),
             vertices=mesh.vertices.copy(),
-            ends=np.full((n, 2), -1, np.int32),
-            stamps=np.zeros(n, np.int32),
-            leaving=np.full(n, -1, np.int32),
-            free=np.empty(n, np.int32),
-            waits=np.zeros(n, np.bool_),
-            triangles=mesh.triangles.copy(),
-            twins=twins_of(mesh),
-            roots=np.arange(m, dtype=np.int32),
-            levels=np.zeros(m, np.uint8),
-            marks=np.zeros(m, np.uint8),
-            scratch=np.empty(m, np.int32),
+            nodes=np.empty((n, N_NODE), np.int32),
+            cells=np.empty((m, N_CELL), np.int32),
             marked=np.empty(m, np.int32),
         )
-        self._state.leaving[mesh.triangles.ravel()] = np.arange(3 * m, dtype=np.int32)
+        set_up(mesh.triangles, twins_of(mesh), self._state)
         self._mesh: TriangleMesh | None = mesh
         self._change = _Change.none(n, m)
 
@@ -119,18 +110,18 @@ class AdaptiveMesh:
         """The mesh as it is now, for keeps: later changes make another one."""
         if self._mesh is None:
             used, m = self._used(), self.n_triangles
-            triangles = self._state.triangles[:m]
+            triangles = self._state.cells[:m, :3]
             if self._state.counts[2]:
                 triangles = self._numbers()[triangles]
-            tags = None if self._tags is None else self._tags[self._state.roots[:m]]
+            tags = None if self._tags is None else self._tags[self.roots]
             vertices = self._state.vertices[: len(used)][used]
-            self._mesh = TriangleMesh(vertices, triangles.copy(), self._crs, tags)
+            self._mesh = TriangleMesh(vertices, triangles, self._crs, tags)
         return self._mesh
 
     @property
     def roots(self) -> _Numbers:
         """For each triangle, the one of the initial mesh that it lies in, int32 (m,)."""
-        return np.array(self._state.roots[: self.n_triangles])
+        return self._column("ROOT")
 
     @property
     def levels(self) -> NDArray[np.uint8]:
@@ -138,7 +129,7 @@ class AdaptiveMesh:
 
         In the xy plane its area is that of its root divided by 2 ** level.
         """
-        return np.array(self._state.levels[: self.n_triangles])
+        return self._column("LEVEL").astype(np.uint8)
 
     @property
     def midpoint_parents(self) -> _Numbers:
@@ -147,7 +138,7 @@ class AdaptiveMesh:
         -1 for those of the initial mesh.
         """
         used = self._used()
-        ends = self._state.ends[: len(used)][used]
+        ends = self._state.nodes[: len(used), :2][used]
         return np.where(ends < 0, np.int32(-1), self._numbers()[ends])
 
     @property
@@ -200,7 +191,8 @@ class AdaptiveMesh:
             self._state, n_marked, n_new, n_added, split.pattern
         )
         if too_small >= 0:
-            raise too_small_to_split(self._state.vertices, self._state.triangles[too_small])
+            corners = self._state.cells[too_small, :3]
+            raise too_small_to_split(self._state.vertices, corners)
         if self._heights is not None:
             raised = self._state.vertices[created]
             lift(raised, self._heights)
@@ -243,7 +235,7 @@ class AdaptiveMesh:
         removed, events = coarsen_targets(self._state, chosen)
         self._mesh = None if len(removed) else self._mesh
         self._change = _Change(n, m, np.empty(0, np.int32), removed, events)
-        return self._change.merged(self.n_triangles)
+        return self._change.merged()
 
     def _make_room(self, n_new: int, n_added: int) -> None:
         m, n_slots, _, _ = self._state.counts.tolist()
@@ -252,18 +244,13 @@ class AdaptiveMesh:
                 f"at most {np.iinfo(np.int32).max // 3} triangles can be numbered, the refined "
                 f"mesh would have {m + n_added}; mark fewer triangles"
             )
-        sizes = {"vertices": n_slots + n_new, "triangles": m + n_added}
-        of_vertices = ("vertices", "ends", "stamps", "leaving", "free", "waits")
-        grown = {
-            name: _grown(
-                array,
-                sizes["vertices" if name in of_vertices else "triangles"],
-                3 if name == "twins" else 1,
-            )
-            for name, array in self._state._asdict().items()
-            if name != "counts"
-        }
-        self._state = self._state._replace(**grown)
+        state = self._state
+        self._state = state._replace(
+            vertices=_grown(state.vertices, n_slots + n_new),
+            nodes=_grown(state.nodes, n_slots + n_new),
+            cells=_grown(state.cells, m + n_added),
+            marked=_grown(state.marked, m + n_added),
+        )
 
     # --- values ---------------------------------------------------------------------------------
 
@@ -347,13 +334,21 @@ class AdaptiveMesh:
         weights = np.zeros((len(slots), 2))
         weights[:, 0] = 1.0
         new = ~before[slots]
-        sources[new] = numbers_before[self._state.ends[slots[new]]]
+        sources[new] = numbers_before[self._state.nodes[slots[new], :2]]
         weights[new] = 0.5
         return sources, weights
 
+    def _column(self, name: str) -> _Numbers:
+        """Return what the kernels keep of each triangle under this name."""
+        from rtin._kernels import adaptive
+
+        return np.array(self._state.cells[: self.n_triangles, getattr(adaptive, name)])
+
     def _used(self) -> NDArray[np.bool_]:
         """Return which slots hold a vertex."""
-        return np.asarray(self._state.stamps[: self._state.counts[1]] >= 0)
+        from rtin._kernels.adaptive import STAMP
+
+        return np.asarray(self._state.nodes[: self._state.counts[1], STAMP] >= 0)
 
     def _numbers(self) -> _Numbers:
         """Return each slot's vertex number."""
@@ -380,20 +375,23 @@ class _Change(NamedTuple):
     def n_before(self, on: On) -> int:
         return self.n_vertices if on == "vertices" else self.n_triangles
 
-    def merged(self, n_triangles: int) -> _Numbers:
-        """Return the numbers that changed and are still there, ascending."""
-        from rtin._kernels.adaptive import COPY, MIX
+    def merged(self) -> _Numbers:
+        """Return the numbers that triangles which came of merging have now, ascending."""
+        from rtin._kernels.adaptive import COPY, MEAN, MIX
 
         kinds, slots, others = self.events.T
-        changed = np.unique(np.concatenate([slots[kinds != COPY], others[kinds == MIX]]))
-        moved = dict(zip(others[kinds == COPY], slots[kinds == COPY], strict=True))
-        numbers = [moved.get(slot, slot) for slot in changed]
-        return np.unique(np.array([n for n in numbers if n < n_triangles], np.int32))
+        changed = _ascending(np.concatenate([slots[kinds != COPY], others[kinds == MIX]]))
+        left = changed[~_is_among(changed, np.sort(others[kinds == MEAN]))]
+        is_move = kinds == COPY
+        movers, places = others[is_move][::-1], slots[is_move][::-1]  # the last was moved first
+        moved = _is_among(left, movers)
+        left[moved] = places[np.searchsorted(movers, left[moved])]
+        return np.sort(left)
 
     def sources_of_triangles(self, n_triangles: int) -> tuple[_Numbers, NDArray[np.float64]]:
         from rtin._kernels.adaptive import MOST_SOURCES, trace
 
-        slots = np.unique(self.events[:, 1:])
+        slots = _ascending(self.events[:, 1:].ravel())
         places, shares, _ = trace(self.events, slots)
         sources = np.repeat(np.arange(n_triangles, dtype=np.int32)[:, np.newaxis], MOST_SOURCES, 1)
         weights = np.zeros((n_triangles, MOST_SOURCES))
@@ -404,10 +402,22 @@ class _Change(NamedTuple):
         return sources, weights
 
 
-def _grown(array: NDArray[Any], n_wanted: int, factor: int) -> NDArray[Any]:
+def _ascending(numbers: _Numbers) -> _Numbers:
+    """Return each number once; by sorting, as NumPy's own ``unique`` hashes, which is slower."""
+    ordered = np.sort(numbers)
+    return ordered[np.diff(ordered, prepend=-1) > 0]
+
+
+def _is_among(numbers: _Numbers, ordered: _Numbers) -> NDArray[np.bool_]:
+    places = np.searchsorted(ordered, numbers)
+    found = np.append(ordered, np.int32(-1))[places] == numbers
+    return np.asarray(found)
+
+
+def _grown(array: NDArray[Any], n_wanted: int) -> NDArray[Any]:
     """Return a longer copy, with room to spare."""
-    if len(array) >= factor * n_wanted:
+    if len(array) >= n_wanted:
         return array
-    larger = np.zeros((factor * int(_GROWTH * n_wanted), *array.shape[1:]), array.dtype)
+    larger = np.empty((int(_GROWTH * n_wanted), *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger

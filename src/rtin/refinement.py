@@ -168,9 +168,9 @@ def refine_to(
     Raises
     ------
     ValueError
-        If not exactly one criterion is given, it is negative or not finite, the mesh covers no
-        sample, or float64 is too coarse to come closer, as may happen at ``max_error=0`` where the
-        mesh's edges do not meet the samples.
+        If not exactly one criterion is given, it is negative or not finite (in an array, samples
+        may be infinite), the mesh covers no sample, or float64 is too coarse to come closer, as may
+        happen at ``max_error=0`` where the mesh's edges do not meet the samples.
     InvalidMesh, TypeError
         As ``refine`` does.
     """
@@ -185,6 +185,7 @@ def refine_to(
     name, value = given[0]
     tolerance = _as_tolerance(name, value, grid)
     _require_overlap(mesh, grid)
+    twins_of(mesh)  # for its complaints: a mesh of which nothing is refined is checked as well
     find = _over_threshold if max_error is None else _off_by_more
     vertices = mesh.vertices.copy()
     lift(vertices, grid)
@@ -217,7 +218,10 @@ def as_targets(targets: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
     Raises what ``require_triangles`` raises.
     """
     numbers = require_triangles(targets, n_triangles)
-    return numbers if len(numbers) == 1 else np.unique(numbers)
+    if (np.diff(numbers) > 0).all():
+        return numbers
+    ordered = np.sort(numbers)
+    return ordered[np.diff(ordered, prepend=-1) > 0]
 
 
 def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
@@ -263,17 +267,25 @@ def _as_tolerance(name: str, value: ArrayLike, grid: Grid) -> NDArray[np.float64
     """Return one number or one for each sample, in two dimensions."""
     if name == "threshold" or np.ndim(value) == 0:
         tolerance = np.full((1, 1), as_number(name, value))
+        wrong = tolerance[~np.isfinite(tolerance) | (tolerance < 0.0)]
+        where = ""
     else:
-        tolerance = np.ascontiguousarray(value, dtype=np.float64)
-        if tolerance.shape != grid.shape:
+        given = np.asarray(value)
+        if given.dtype.kind not in "fiu":
+            raise TypeError(f"{name} must hold numbers, got an array of {given.dtype}")
+        if given.shape != grid.shape:
             raise ValueError(
                 f"{name} must be a number or have the grid's shape {grid.shape}, "
-                f"got {tolerance.shape}"
+                f"got an array of shape {given.shape}"
             )
-    if not (tolerance >= 0.0).all() or np.isinf(tolerance).all():
-        wrong = tolerance[~(tolerance >= 0.0) | np.isinf(tolerance)].flat[0]
+        tolerance = np.ascontiguousarray(given, np.float64)
+        # Where there is no height, whatever is said of it counts for nothing.
+        bad = ~(tolerance >= 0.0) & ~np.isnan(grid.heights)
+        wrong = tolerance[bad]
+        where = " at row {}, column {}".format(*np.argwhere(bad)[0]) if wrong.size else ""
+    if wrong.size:
         raise ValueError(
-            f"{name} must be zero or more, in the raster's height units, got {wrong:g}"
+            f"{name} must be zero or more, in the raster's height units, got {wrong[0]:g}{where}"
         )
     return tolerance
 
@@ -333,7 +345,8 @@ def _marked(
     if len(targets) == n_triangles and scheme.sides == ALL_SIDES:
         return np.full(n_triangles, ALL_SIDES, np.uint8)
     marks = np.zeros(n_triangles, np.uint8)
-    mark_and_propagate(targets, scheme.sides, twins, marks, np.empty(n_triangles, np.int32))
+    marked = np.empty(n_triangles, np.int32)
+    mark_and_propagate(targets, scheme.sides, twins.reshape(-1, 3), marks, marked)
     return marks
 
 

@@ -2,6 +2,9 @@
 
 Triangles lie in *slots* without gaps; of the vertices' slots some are free. Corners, sides,
 half-edges, twins and patterns are those of ``refinement`` and ``adjacency``.
+
+Whole numbers of a triangle lie side by side in a row of ``cells``, those of a vertex in a row of
+``nodes``: one cache line each, and few arrays to hand around, which takes Numba time for each.
 """
 
 from typing import NamedTuple
@@ -22,8 +25,18 @@ from rtin._kernels.refinement import (
     turn,
 )
 
-# Places in State.counts
-N_TRIANGLES, N_VERTEX_SLOTS, N_FREE, STAMP = 0, 1, 2, 3
+# Columns of ``cells``, after the three corners: the twins of the three sides; the triangle of the
+# initial mesh that it lies in; how many bisections it is from that; and two of no meaning between
+# calls, of which the marks are zero then.
+TWINS, ROOT, LEVEL, MARKS, SCRATCH, N_CELL = 3, 6, 7, 8, 9, 10
+
+# Columns of ``nodes``, after the two ends of the edge whose midpoint a vertex is (-1 if it is
+# none): which call of refine has made it (0 if none, -1 in a free slot); a half-edge that leaves
+# it; whether it waits to be looked at (zero between calls); and the stack of free slots.
+STAMP, LEAVING, WAITS, FREE, N_NODE = 2, 3, 4, 5, 6
+
+# Places in ``counts``; the last one is the number of the latest call of refine.
+N_TRIANGLES, N_VERTEX_SLOTS, N_FREE, LATEST = 0, 1, 2, 3
 
 # Kinds of an event, what becomes of two slots' values: [kind, slot, other slot].
 COPY, MEAN, MIX = 0, 1, 2  # slot = other; slot = mean of both; both = mean of both
@@ -33,346 +46,41 @@ LARGEST_STAR = 6
 
 
 class State(NamedTuple):
-    """A mesh that changes. The arrays are longer than what is in use; ``counts`` tells."""
+    """A mesh that changes. All arrays but ``counts`` are longer than what is in use."""
 
-    counts: np.ndarray  # int64 (4,): see the names above
+    counts: np.ndarray  # int64 (4,)
     vertices: np.ndarray  # float64 (n, 3)
-    ends: np.ndarray  # int32 (n, 2): of the edge whose midpoint a vertex is; -1 if it is none
-    stamps: np.ndarray  # int32 (n,): which call of refine made it; 0 if none, -1 in a free slot
-    leaving: np.ndarray  # int32 (n,): a half-edge that leaves it
-    free: np.ndarray  # int32 (n,): a stack of free slots
-    waits: np.ndarray  # bool (n,): false between calls
-    triangles: np.ndarray  # int32 (m, 3)
-    twins: np.ndarray  # int32 (3m,)
-    roots: np.ndarray  # int32 (m,): the triangle of the initial mesh that it lies in
-    levels: np.ndarray  # uint8 (m,): how many bisections it is from that
-    marks: np.ndarray  # uint8 (m,): zero between calls
-    scratch: np.ndarray  # int32 (m,): of no meaning between calls
+    nodes: np.ndarray  # int32 (n, N_NODE)
+    cells: np.ndarray  # int32 (m, N_CELL)
     marked: np.ndarray  # int32 (m,): of no meaning between calls
 
 
 @jit
-def join(twins, one, other):
+def twin_of(cells, half_edge):
+    """The half-edge behind this one, -1 on the boundary."""
+    return cells[half_edge // 3, TWINS + half_edge % 3]
+
+
+@jit
+def start_of(cells, half_edge):
+    """The vertex that a half-edge leaves."""
+    return cells[half_edge // 3, half_edge % 3]
+
+
+@jit
+def join(cells, one, other):
     """Make two half-edges each other's twins; -1 is the boundary."""
     if one >= 0:
-        twins[one] = other
+        cells[one // 3, TWINS + one % 3] = other
     if other >= 0:
-        twins[other] = one
+        cells[other // 3, TWINS + other % 3] = one
 
 
 @jit
-def gather(vertices, corners, x, y):
-    """Put the places of vertices side by side."""
-    for label in range(corners.size):
-        x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
-
-
-# --- refining -----------------------------------------------------------------------------------
-
-
-@jit
-def mark_targets(state, targets, sides):
-    """Mark and propagate; how many triangles are marked, and how many slots are wanted."""
-    n_marked = mark_and_propagate(targets, sides, state.twins, state.marks, state.marked)
-    marked = state.marked[:n_marked]
-    marked.sort()
-    n_vertices, n_children = 0, 0
-    for triangle in marked:
-        mark = state.marks[triangle]
-        n_children += N_CHILDREN[mark]
-        for side in range(3):
-            twin = state.twins[3 * triangle + side]
-            if mark >> side & 1 and (twin < 0 or twin > 3 * triangle + side):
-                n_vertices += 1
-    return n_marked, n_vertices, n_children - n_marked
-
-
-@jit
-def unmark(state, n_marked):
-    """Take the marks away."""
-    for triangle in state.marked[:n_marked]:
-        state.marks[triangle] = 0
-
-
-@jit
-def new_vertex(state, a, b):
-    """Put the midpoint of a and b into a free slot."""
-    counts = state.counts
-    if counts[N_FREE] > 0:
-        counts[N_FREE] -= 1
-        vertex = state.free[counts[N_FREE]]
-    else:
-        vertex = counts[N_VERTEX_SLOTS]
-        counts[N_VERTEX_SLOTS] += 1
-    set_midpoint(state.vertices, vertex, a, b)
-    state.ends[vertex, 0], state.ends[vertex, 1] = a, b
-    state.stamps[vertex] = counts[STAMP]
-    return vertex
-
-
-@jit
-def free_vertex(state, vertex):
-    """Give a vertex's slot back."""
-    state.stamps[vertex] = -1
-    state.free[state.counts[N_FREE]] = vertex
-    state.counts[N_FREE] += 1
-
-
-@jit
-def number_midpoints(state, n_marked, corners, created):
-    """Make the midpoints of marked sides, triangle by triangle.
-
-    Fills ``corners``, of shape (n_marked, 6): each triangle's corners and midpoints.
-    """
-    n_created = 0
-    for i in range(n_marked):
-        triangle = state.marked[i]
-        state.scratch[triangle] = i
-        for side in range(3):
-            corners[i, side] = corners[i, 3 + side] = state.triangles[triangle, side]
-            if state.marks[triangle] >> side & 1 == 0:
-                continue
-            twin = state.twins[3 * triangle + side]
-            if twin >= 0 and twin < 3 * triangle + side:
-                corners[i, 3 + side] = corners[state.scratch[twin // 3], 3 + twin % 3]
-                continue
-            a, b = state.triangles[triangle, side], state.triangles[triangle, next_side(side)]
-            created[n_created] = corners[i, 3 + side] = new_vertex(state, a, b)
-            n_created += 1
-
-
-@jit
-def first_too_small(state, n_marked, pattern, corners):
-    """The first marked triangle of which a child would have no area in float64, or -1."""
-    x, y = np.empty(6), np.empty(6)
-    for i in range(n_marked):
-        mark = state.marks[state.marked[i]]
-        gather(state.vertices, corners[i], x, y)
-        for child in range(N_CHILDREN[mark]):
-            a, b, c = child_of(x, y, pattern, mark, child)
-            if not turn(x, y, a, b, c) > 0.0:
-                return state.marked[i]
-    return -1
-
-
-@jit
-def write_triangle(triangles, leaving, slot, a, b, c):
-    """Put a triangle into a slot."""
-    triangles[slot, 0], triangles[slot, 1], triangles[slot, 2] = a, b, c
-    leaving[a], leaving[b], leaving[c] = 3 * slot, 3 * slot + 1, 3 * slot + 2
-
-
-@jit
-def split_triangle(state, slot, pattern, corners, halves, work, events, n_events):
-    """Put the children of a triangle into its slot and new ones, and join them to each other.
-
-    ``halves[side]`` becomes the half-edges along a side, from its beginning and to its end: the
-    same one twice where the side is whole. ``work`` is room for places of the corners, and for the
-    half-edge from each corner to each other.
-    """
-    triangles, leaving = state.triangles, state.leaving
-    x, y, inner = work
-    gather(state.vertices, corners, x, y)
-    mark, level, root = state.marks[slot], state.levels[slot], state.roots[slot]
-    inner[:] = -1
-    for child in range(N_CHILDREN[mark]):
-        place = slot
-        if child > 0:
-            place = state.counts[N_TRIANGLES]
-            state.counts[N_TRIANGLES] += 1
-            n_events = log(events, n_events, COPY, place, slot)
-        a, b, c = child_of(x, y, pattern, mark, child)
-        write_triangle(triangles, leaving, place, corners[a], corners[b], corners[c])
-        state.roots[place] = root
-        state.levels[place] = level + DEPTH[mark, child]
-        state.marks[place] = 0
-        inner[a, b], inner[b, c], inner[c, a] = 3 * place, 3 * place + 1, 3 * place + 2
-    for a in range(6):
-        for b in range(a):
-            if inner[a, b] >= 0 and inner[b, a] >= 0:
-                join(state.twins, inner[a, b], inner[b, a])
-    for side in range(3):
-        end = next_side(side)
-        if mark >> side & 1:
-            halves[side, 0], halves[side, 1] = inner[side, 3 + side], inner[3 + side, end]
-        else:
-            halves[side, 0] = halves[side, 1] = inner[side, end]
-    return n_events
-
-
-@jit
-def split_marked(state, n_marked, n_new, n_added, pattern):
-    """Split the marked triangles: the first too small for that, else -1; new vertices; events.
-
-    Where one is too small, nothing changes. There must be room in the slots.
-    """
-    corners = np.empty((n_marked, 6), np.uint32)
-    created = np.empty(n_new, np.int32)
-    events = np.empty((n_added, 3), np.int32)
-    state.counts[STAMP] += 1
-    number_midpoints(state, n_marked, corners, created)
-    too_small = first_too_small(state, n_marked, pattern, corners)
-    if too_small >= 0:
-        for vertex in created[::-1]:
-            free_vertex(state, vertex)
-        unmark(state, n_marked)
-        return too_small, created, events
-    behind = np.empty((n_marked, 3), np.int32)
-    halves = np.empty((n_marked, 3, 2), np.int32)
-    marks = np.empty(n_marked, np.uint8)
-    for i in range(n_marked):
-        marks[i] = state.marks[state.marked[i]]
-        for side in range(3):
-            behind[i, side] = state.twins[3 * state.marked[i] + side]
-    work = np.empty(6), np.empty(6), np.empty((6, 6), np.int64)
-    n_events = 0
-    for i in range(n_marked):
-        n_events = split_triangle(
-            state, state.marked[i], pattern, corners[i], halves[i], work, events, n_events
-        )
-    join_neighbours(state, n_marked, marks, behind, halves)
-    return -1, created, events
-
-
-@jit
-def join_neighbours(state, n_marked, marks, behind, halves):
-    """Join the sides of triangles that were split to what lay behind them."""
-    twins = state.twins
-    for i in range(n_marked):
-        state.marks[state.marked[i]] = ALL_SIDES  # to tell them from neighbours that were not split
-    for i in range(n_marked):
-        for side in range(3):
-            twin, begin, end = behind[i, side], halves[i, side, 0], halves[i, side, 1]
-            if twin < 0:
-                twins[begin] = twins[end] = -1
-            elif marks[i] >> side & 1 or state.marks[twin // 3]:
-                other = state.scratch[twin // 3]
-                twins[begin] = halves[other, twin % 3, 1]
-                twins[end] = halves[other, twin % 3, 0]
-            else:
-                join(twins, begin, twin)
-    unmark(state, n_marked)
-
-
-@jit
-def has_room(state, n_new, n_added):
-    """Whether so many more vertices and triangles fit into the slots."""
-    counts = state.counts
-    return (
-        counts[N_VERTEX_SLOTS] + max(0, n_new - counts[N_FREE]) <= state.stamps.size
-        and counts[N_TRIANGLES] + n_added <= state.marks.size
-    )
-
-
-# --- coarsening ---------------------------------------------------------------------------------
-
-TARGET, MERGED = 1, 2  # marks of triangles; of a merged one, scratch has the stamp of the midpoint
-
-
-@jit
-def is_end_of(ends, vertex, end):
-    """Whether a vertex is the midpoint of an edge with this end."""
-    return ends[vertex, 0] == end or ends[vertex, 1] == end
-
-
-@jit
-def other_end(ends, vertex, end):
-    """The other end of the edge whose midpoint a vertex is."""
-    return ends[vertex, 1] if ends[vertex, 0] == end else ends[vertex, 0]
-
-
-@jit
-def walk_star(state, vertex, star, ring):
-    """Half-edges that leave a vertex, counter-clockwise, and the vertices around it.
-
-    Returns how many triangles there are (0 if more than a removable vertex can have) and whether
-    they close around it; if not, the ring has one vertex more than there are triangles.
-    """
-    twins, triangles = state.twins, state.triangles
-    start = state.leaving[vertex]
-    for _ in range(LARGEST_STAR):  # to the right, as far as the boundary
-        twin = twins[start]
-        if twin < 0:
-            break
-        start = next_edge(twin)
-    half_edge, size = start, 0
-    while size < LARGEST_STAR:
-        star[size] = half_edge
-        after = next_edge(half_edge)
-        ring[size] = triangles[after // 3, after % 3]
-        size += 1
-        before = previous_edge(half_edge)
-        half_edge = twins[before]
-        if half_edge == start:
-            return size, True
-        if half_edge < 0:
-            ring[size] = triangles[before // 3, before % 3]
-            return (size, False) if twins[start] < 0 else (0, False)
-    return 0, False
-
-
-@jit
-def find(ring, size, vertex):
-    """Place of a vertex in a ring, -1 if it is not there."""
-    for place in range(size):
-        if ring[place] == vertex:
-            return place
-    return -1
-
-
-@jit
-def may_merge(state, star, size, stamp):
-    """Whether all triangles of a star are targets, or merged in this call for such a midpoint."""
-    for half_edge in star[:size]:
-        triangle = half_edge // 3
-        mark = state.marks[triangle]
-        if not (mark == TARGET or (mark == MERGED and state.scratch[triangle] == stamp)):
-            return False
-    return True
-
-
-@jit
-def side_can_merge(state, vertex, star, ring, first, gap):
-    """Whether the triangles on one side of a midpoint can be merged.
-
-    ``first`` is the place of an end of its edge in the ring, the other end lies ``gap`` further on.
-    Two triangles: their apex must not be the midpoint of an edge to ``vertex``. Three, after
-    4T-SS: the two between must be the midpoints of the parent's other sides.
-    """
-    ends, n_ring = state.ends, ring.size
-    begin, one = ring[first], ring[(first + 1) % n_ring]
-    if gap == 2:
-        return not is_end_of(ends, one, vertex)
-    if gap != 3:
-        return False
-    two, end = ring[(first + 2) % n_ring], ring[(first + 3) % n_ring]
-    middle = star[(first + 1) % star.size] // 3
-    return (
-        state.triangles[middle, 2] != vertex
-        and is_end_of(ends, one, begin)
-        and is_end_of(ends, two, end)
-        and other_end(ends, one, begin) == other_end(ends, two, end)
-    )
-
-
-@jit
-def undo_swap(state, middle, events, n_events):
-    """Turn the edge p-q of 4T-SS into the edge c-m of 4T-LE; ``middle`` holds (p, q, m)."""
-    twins, triangles = state.twins, state.triangles
-    p, q, m = triangles[middle, 0], triangles[middle, 1], triangles[middle, 2]
-    to_p = twins[3 * middle]
-    slot, p_to_c, c_to_q = to_p // 3, next_edge(to_p), previous_edge(to_p)
-    c = triangles[slot, c_to_q % 3]
-    behind_pc, behind_cq = twins[p_to_c], twins[c_to_q]
-    behind_qm, behind_mp = twins[3 * middle + 1], twins[3 * middle + 2]
-    m_to_c = write_leaf(state, slot, m, c, q, True)
-    join(twins, next_edge(m_to_c), behind_cq)
-    join(twins, previous_edge(m_to_c), behind_qm)
-    c_to_m = write_leaf(state, middle, c, m, p, True)
-    join(twins, next_edge(c_to_m), behind_mp)
-    join(twins, previous_edge(c_to_m), behind_pc)
-    join(twins, m_to_c, c_to_m)
-    return log(events, n_events, MIX, slot, middle)
+def write_triangle(nodes, cells, slot, a, b, c):
+    """Put the corners of a triangle into a slot."""
+    cells[slot, 0], cells[slot, 1], cells[slot, 2] = a, b, c
+    nodes[a, LEAVING], nodes[b, LEAVING], nodes[c, LEAVING] = 3 * slot, 3 * slot + 1, 3 * slot + 2
 
 
 @jit
@@ -383,17 +91,367 @@ def log(events, n_events, kind, slot, other):
 
 
 @jit
-def write_leaf(state, slot, a, b, c, is_child):
+def set_up(triangles, twins, state):
+    """Fill the rows of a mesh that is not refined yet."""
+    cells, nodes = state.cells, state.nodes
+    for vertex in range(nodes.shape[0]):
+        nodes[vertex, 0] = nodes[vertex, 1] = nodes[vertex, LEAVING] = -1
+        nodes[vertex, STAMP] = nodes[vertex, WAITS] = 0
+    for slot in range(triangles.shape[0]):
+        a, b, c = triangles[slot, 0], triangles[slot, 1], triangles[slot, 2]
+        write_triangle(nodes, cells, slot, a, b, c)
+        for side in range(3):
+            cells[slot, TWINS + side] = twins[3 * slot + side]
+        cells[slot, ROOT] = slot
+        cells[slot, LEVEL] = cells[slot, MARKS] = 0
+
+
+# --- refining -----------------------------------------------------------------------------------
+
+
+@jit
+def mark_targets(state, targets, sides):
+    """Mark and propagate; numbers of marked triangles, new vertices, and further triangles."""
+    cells = state.cells
+    twins, marks = cells[:, TWINS : TWINS + 3], cells[:, MARKS]
+    n_marked = mark_and_propagate(targets, sides, twins, marks, state.marked)
+    marked = state.marked[:n_marked]
+    marked.sort()
+    n_vertices, n_children = 0, 0
+    for triangle in marked:
+        mark = marks[triangle]
+        n_children += N_CHILDREN[mark]
+        for side in range(3):
+            twin = twins[triangle, side]
+            if mark >> side & 1 and (twin < 0 or twin > 3 * triangle + side):
+                n_vertices += 1
+    return n_marked, n_vertices, n_children - n_marked
+
+
+@jit
+def has_room(state, n_new, n_added):
+    """Whether so many more vertices and triangles fit into the slots."""
+    counts = state.counts
+    return (
+        counts[N_VERTEX_SLOTS] + max(0, n_new - counts[N_FREE]) <= state.nodes.shape[0]
+        and counts[N_TRIANGLES] + n_added <= state.cells.shape[0]
+    )
+
+
+@jit
+def unmark(state, n_marked):
+    """Take the marks away."""
+    for triangle in state.marked[:n_marked]:
+        state.cells[triangle, MARKS] = 0
+
+
+@jit
+def new_vertex(counts, vertices, nodes, a, b):
+    """Put the midpoint of a and b into a free slot."""
+    if counts[N_FREE] > 0:
+        counts[N_FREE] -= 1
+        vertex = nodes[counts[N_FREE], FREE]
+    else:
+        vertex = np.int32(counts[N_VERTEX_SLOTS])
+        counts[N_VERTEX_SLOTS] += 1
+    set_midpoint(vertices, vertex, a, b)
+    nodes[vertex, 0], nodes[vertex, 1] = a, b
+    nodes[vertex, STAMP], nodes[vertex, WAITS] = counts[LATEST], 0
+    return vertex
+
+
+@jit
+def free_vertex(counts, nodes, vertex):
+    """Give a vertex's slot back."""
+    nodes[vertex, STAMP] = -1
+    nodes[counts[N_FREE], FREE] = vertex
+    counts[N_FREE] += 1
+
+
+@jit
+def number_midpoints(state, n_marked, corners, created):
+    """Make the midpoints of marked sides, triangle by triangle.
+
+    Fills ``corners``, of shape (n_marked, 6): each triangle's corners and midpoints.
+    """
+    cells, n_created = state.cells, 0
+    for i in range(n_marked):
+        triangle = state.marked[i]
+        cells[triangle, SCRATCH] = i
+        for side in range(3):
+            corners[i, side] = corners[i, 3 + side] = cells[triangle, side]
+            if cells[triangle, MARKS] >> side & 1 == 0:
+                continue
+            twin = cells[triangle, TWINS + side]
+            if twin >= 0 and twin < 3 * triangle + side:
+                corners[i, 3 + side] = corners[cells[twin // 3, SCRATCH], 3 + twin % 3]
+                continue
+            a, b = cells[triangle, side], cells[triangle, next_side(side)]
+            vertex = new_vertex(state.counts, state.vertices, state.nodes, a, b)
+            created[n_created] = corners[i, 3 + side] = vertex
+            n_created += 1
+
+
+@jit
+def gather(vertices, corners, x, y):
+    """Put the places of vertices side by side."""
+    for label in range(corners.size):
+        x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
+
+
+@jit
+def first_too_small(state, n_marked, pattern, corners):
+    """The first marked triangle of which a child would have no area in float64, or -1."""
+    x, y = np.empty(6), np.empty(6)
+    for i in range(n_marked):
+        mark = state.cells[state.marked[i], MARKS]
+        gather(state.vertices, corners[i], x, y)
+        for child in range(N_CHILDREN[mark]):
+            a, b, c = child_of(x, y, pattern, mark, child)
+            if not turn(x, y, a, b, c) > 0.0:
+                return state.marked[i]
+    return -1
+
+
+@jit
+def join_children(cells, inner):
+    """Join the half-edges between children; ``inner`` has the one from each label to each other."""
+    for a in range(6):
+        for b in range(a):
+            if inner[a, b] >= 0 and inner[b, a] >= 0:
+                join(cells, inner[a, b], inner[b, a])
+
+
+@jit
+def split_triangle(state, slot, pattern, corners, work, events, n_events):
+    """Put the children of a triangle into its slot and new ones, and join them to each other.
+
+    ``work`` has room for places of the corners, and for ``inner``, which it fills.
+    """
+    counts, nodes, cells = state.counts, state.nodes, state.cells
+    x, y, inner = work
+    gather(state.vertices, corners, x, y)
+    mark, level, root = cells[slot, MARKS], cells[slot, LEVEL], cells[slot, ROOT]
+    inner[:] = -1
+    for child in range(N_CHILDREN[mark]):
+        place = np.int64(slot)
+        if child > 0:
+            place = counts[N_TRIANGLES]
+            counts[N_TRIANGLES] += 1
+            n_events = log(events, n_events, COPY, place, slot)
+        a, b, c = child_of(x, y, pattern, mark, child)
+        write_triangle(nodes, cells, place, corners[a], corners[b], corners[c])
+        cells[place, ROOT], cells[place, LEVEL] = root, level + DEPTH[mark, child]
+        cells[place, MARKS] = ALL_SIDES  # to tell it from neighbours that are not split
+        inner[a, b], inner[b, c], inner[c, a] = 3 * place, 3 * place + 1, 3 * place + 2
+    join_children(cells, inner)
+    return n_events
+
+
+@jit
+def fill_halves(mark, inner, halves):
+    """Write the half-edges along each side, from its beginning and to its end: one if whole."""
+    for side in range(3):
+        end = next_side(side)
+        if mark >> side & 1:
+            halves[side, 0], halves[side, 1] = inner[side, 3 + side], inner[3 + side, end]
+        else:
+            halves[side, 0] = halves[side, 1] = inner[side, end]
+
+
+@jit
+def split_marked(state, n_marked, n_new, n_added, pattern):
+    """Split the marked triangles: the first too small for that, else -1; new vertices; events.
+
+    Where one is too small, nothing changes. There must be room in the slots.
+    """
+    counts, cells = state.counts, state.cells
+    first_added = counts[N_TRIANGLES]
+    corners = np.empty((n_marked, 6), np.uint32)
+    created = np.empty(n_new, np.int32)
+    events = np.empty((n_added, 3), np.int32)
+    counts[LATEST] += 1
+    number_midpoints(state, n_marked, corners, created)
+    too_small = first_too_small(state, n_marked, pattern, corners)
+    if too_small >= 0:
+        for vertex in created[::-1]:
+            free_vertex(counts, state.nodes, vertex)
+        unmark(state, n_marked)
+        return too_small, created, events
+    before = np.empty((n_marked, 4), np.int32)  # twins, and marks
+    halves = np.empty((n_marked, 3, 2), np.int32)
+    work = np.empty(6), np.empty(6), np.empty((6, 6), np.int64)
+    n_events = 0
+    for i in range(n_marked):
+        slot = state.marked[i]
+        mark = before[i, 3] = cells[slot, MARKS]
+        for side in range(3):
+            before[i, side] = cells[slot, TWINS + side]
+        n_events = split_triangle(state, slot, pattern, corners[i], work, events, n_events)
+        fill_halves(mark, work[2], halves[i])
+    join_neighbours(cells, before, halves)
+    unmark(state, n_marked)
+    for slot in range(first_added, counts[N_TRIANGLES]):
+        cells[slot, MARKS] = 0
+    return -1, created, events
+
+
+@jit
+def join_neighbours(cells, before, halves):
+    """Join the sides of triangles that were split to what lay behind them."""
+    for i in range(before.shape[0]):
+        for side in range(3):
+            twin, begin, end = before[i, side], halves[i, side, 0], halves[i, side, 1]
+            if twin < 0:
+                join(cells, begin, -1)
+                join(cells, end, -1)
+            elif cells[twin // 3, MARKS]:
+                other = cells[twin // 3, SCRATCH]
+                cells[begin // 3, TWINS + begin % 3] = halves[other, twin % 3, 1]
+                cells[end // 3, TWINS + end % 3] = halves[other, twin % 3, 0]
+            else:
+                join(cells, begin, twin)
+
+
+# --- coarsening ---------------------------------------------------------------------------------
+
+TARGET, MERGED = 1, 2  # marks of triangles; of a merged one, scratch has the midpoint's stamp
+
+
+@jit
+def is_end_of(nodes, vertex, end):
+    """Whether a vertex is the midpoint of an edge with this end."""
+    return nodes[vertex, 0] == end or nodes[vertex, 1] == end
+
+
+@jit
+def other_end(nodes, vertex, end):
+    """The other end of the edge whose midpoint a vertex is."""
+    return nodes[vertex, 1] if nodes[vertex, 0] == end else nodes[vertex, 0]
+
+
+@jit
+def walk_star(cells, start, star, ring):
+    """Half-edges that leave a vertex, counter-clockwise, and the vertices around it.
+
+    Returns how many triangles there are (0 if more than a removable vertex can have) and whether
+    they close around it; if not, the ring has one vertex more than there are triangles.
+    """
+    for _ in range(LARGEST_STAR):  # to the right, as far as the boundary
+        twin = twin_of(cells, start)
+        if twin < 0:
+            break
+        start = next_edge(twin)
+    half_edge, size = start, 0
+    while size < LARGEST_STAR:
+        star[size] = half_edge
+        ring[size] = start_of(cells, next_edge(half_edge))
+        size += 1
+        before = previous_edge(half_edge)
+        half_edge = twin_of(cells, before)
+        if half_edge == start:
+            return size, True
+        if half_edge < 0:
+            ring[size] = start_of(cells, before)
+            return (size, False) if twin_of(cells, start) < 0 else (0, False)
+    return 0, False
+
+
+@jit
+def may_merge(cells, star, size, stamp):
+    """Whether all triangles of a star are targets, or merged in this call for such a midpoint."""
+    for i in range(size):
+        slot = star[i] // 3
+        mark = cells[slot, MARKS]
+        if not (mark == TARGET or (mark == MERGED and cells[slot, SCRATCH] == stamp)):
+            return False
+    return True
+
+
+@jit
+def places_of_ends(nodes, vertex, ring, n_ring):
+    """Where the ends of a vertex's edge are in the ring around it, ascending; the first -1: not."""
+    one, two = -1, -1
+    for place in range(n_ring):
+        if is_end_of(nodes, vertex, ring[place]):
+            one, two = two, place
+    return one, two
+
+
+@jit
+def side_can_merge(nodes, cells, vertex, star, size, ring, n_ring, first, gap):
+    """Whether the triangles on one side of a midpoint can be merged.
+
+    ``first`` is the place of an end of its edge in the ring, the other end lies ``gap`` further on.
+    Two triangles: their apex must not be the midpoint of an edge to ``vertex``. Three, after
+    4T-SS: the two between must be the midpoints of the parent's other sides.
+    """
+    begin, one = ring[first], ring[(first + 1) % n_ring]
+    if gap == 2:
+        return not is_end_of(nodes, one, vertex)
+    if gap != 3:
+        return False
+    two, end = ring[(first + 2) % n_ring], ring[(first + 3) % n_ring]
+    middle = star[(first + 1) % size] // 3
+    return (
+        cells[middle, 2] != vertex
+        and is_end_of(nodes, one, begin)
+        and is_end_of(nodes, two, end)
+        and other_end(nodes, one, begin) == other_end(nodes, two, end)
+    )
+
+
+@jit
+def removable_star(nodes, cells, vertex, star, ring):
+    """Size of the star of a vertex and the places of its edge's ends; 0 if it has to stay."""
+    size, is_closed = walk_star(cells, nodes[vertex, LEAVING], star, ring)
+    if size == 0 or not may_merge(cells, star, size, nodes[vertex, STAMP]):
+        return 0, 0, 0
+    n_ring = size if is_closed else size + 1
+    one, two = places_of_ends(nodes, vertex, ring, n_ring)
+    if one < 0 or not (is_closed or two - one == size):
+        return 0, 0, 0
+    gap = two - one
+    if not side_can_merge(nodes, cells, vertex, star, size, ring, n_ring, one, gap):
+        return 0, 0, 0
+    if is_closed and not side_can_merge(
+        nodes, cells, vertex, star, size, ring, n_ring, two, size - gap
+    ):
+        return 0, 0, 0
+    return size, one, two
+
+
+@jit
+def write_leaf(vertices, nodes, cells, slot, a, b, c, is_child):
     """Write a triangle, a child with its side to bisect next first; the half-edge from a to b."""
-    vertices = state.vertices
     side = 0
     if is_child:
         x = vertices[a, 0], vertices[b, 0], vertices[c, 0]
         y = vertices[a, 1], vertices[b, 1], vertices[c, 1]
         side = side_to_bisect(x, y, 0, 1, 2)
     one, two, three = rotated(a, b, c, side)
-    write_triangle(state.triangles, state.leaving, slot, one, two, three)
+    write_triangle(nodes, cells, slot, one, two, three)
     return 3 * slot + (3 - side) % 3
+
+
+@jit
+def undo_swap(state, middle, events, n_events):
+    """Turn the edge p-q of 4T-SS into the edge c-m of 4T-LE; ``middle`` holds (p, q, m)."""
+    vertices, nodes, cells = state.vertices, state.nodes, state.cells
+    p, q, m = cells[middle, 0], cells[middle, 1], cells[middle, 2]
+    to_p = cells[middle, TWINS]
+    slot, p_to_c, c_to_q = to_p // 3, next_edge(to_p), previous_edge(to_p)
+    c = start_of(cells, c_to_q)
+    behind_pc, behind_cq = twin_of(cells, p_to_c), twin_of(cells, c_to_q)
+    behind_qm, behind_mp = cells[middle, TWINS + 1], cells[middle, TWINS + 2]
+    m_to_c = write_leaf(vertices, nodes, cells, slot, m, c, q, True)
+    join(cells, next_edge(m_to_c), behind_cq)
+    join(cells, previous_edge(m_to_c), behind_qm)
+    c_to_m = write_leaf(vertices, nodes, cells, middle, c, m, p, True)
+    join(cells, next_edge(c_to_m), behind_mp)
+    join(cells, previous_edge(c_to_m), behind_pc)
+    join(cells, m_to_c, c_to_m)
+    return log(events, n_events, MIX, slot, middle)
 
 
 @jit
@@ -403,58 +461,21 @@ def merge_side(state, vertex, right, left, events, n_events):
     ``right`` leaves the midpoint along its edge, ``left`` towards the apex behind it. The parent
     takes the place of the left one, as its first child did.
     """
-    triangles, twins = state.triangles, state.twins
+    vertices, nodes, cells = state.vertices, state.nodes, state.cells
     slot, freed = left // 3, right // 3
     to_apex, from_apex = next_edge(right), next_edge(left)
-    begin, apex = triangles[freed, to_apex % 3], triangles[slot, from_apex % 3]
-    end = triangles[slot, previous_edge(left) % 3]
-    behind_one, behind_other = twins[to_apex], twins[from_apex]
+    begin, apex = start_of(cells, to_apex), start_of(cells, from_apex)
+    end = start_of(cells, previous_edge(left))
+    behind_one, behind_other = twin_of(cells, to_apex), twin_of(cells, from_apex)
     # Its apex came with the midpoint where the parent never was a triangle of the mesh.
-    is_child = state.stamps[apex] == state.stamps[vertex]
-    whole = write_leaf(state, slot, end, begin, apex, is_child)
-    join(twins, next_edge(whole), behind_one)
-    join(twins, previous_edge(whole), behind_other)
-    state.levels[slot] -= 1
-    state.marks[slot] = MERGED
-    state.scratch[slot] = state.stamps[vertex]
-    state.marks[freed] = 0
-    triangles[freed, 0] = -1
+    is_child = nodes[apex, STAMP] == nodes[vertex, STAMP]
+    whole = write_leaf(vertices, nodes, cells, slot, end, begin, apex, is_child)
+    join(cells, next_edge(whole), behind_one)
+    join(cells, previous_edge(whole), behind_other)
+    cells[slot, LEVEL] -= 1
+    cells[slot, MARKS], cells[slot, SCRATCH] = MERGED, nodes[vertex, STAMP]
+    cells[freed, MARKS], cells[freed, 0] = 0, -1
     return whole, log(events, n_events, MEAN, slot, freed)
-
-
-@jit
-def removable_star(state, vertex, star, ring):
-    """Size of the star of a vertex and the places of its edge's ends; 0 if it has to stay.
-
-    Going on counter-clockwise from the first place one meets the triangles of the left side.
-    """
-    size, is_closed = walk_star(state, vertex, star, ring)
-    if size == 0 or not may_merge(state, star, size, state.stamps[vertex]):
-        return 0, 0, 0
-    n_ring = size if is_closed else size + 1
-    one = find(ring, n_ring, state.ends[vertex, 0])
-    two = find(ring, n_ring, state.ends[vertex, 1])
-    if one < 0 or two < 0:
-        return 0, 0, 0
-    one, two = min(one, two), max(one, two)
-    star, ring = star[:size], ring[:n_ring]
-    if not is_closed and two - one != size:
-        return 0, 0, 0
-    if not side_can_merge(state, vertex, star, ring, one, two - one):
-        return 0, 0, 0
-    if is_closed and not side_can_merge(state, vertex, star, ring, two, size - (two - one)):
-        return 0, 0, 0
-    return size, one, two
-
-
-@jit
-def undo_swaps(state, star, size, is_closed, one, two, events, n_events):
-    """Make both sides of a vertex that is removed simple."""
-    if two - one == 3:
-        n_events = undo_swap(state, star[one + 1] // 3, events, n_events)
-    if is_closed and size - (two - one) == 3:
-        n_events = undo_swap(state, star[(two + 1) % size] // 3, events, n_events)
-    return n_events
 
 
 @jit
@@ -463,31 +484,33 @@ def remove(state, vertex, star, ring, events, n_events):
 
     Returns how many vertices lie around it then, 0 if it has to stay, and the number of events.
     """
-    size, one, two = removable_star(state, vertex, star, ring)
+    nodes, cells = state.nodes, state.cells
+    size, one, two = removable_star(nodes, cells, vertex, star, ring)
     if size == 0:
         return 0, n_events
-    is_closed = state.twins[star[0]] >= 0
-    n_events = undo_swaps(state, star, size, is_closed, one, two, events, n_events)
-    size, _ = walk_star(state, vertex, star, ring)
+    is_closed = twin_of(cells, star[0]) >= 0
+    if two - one == 3:
+        n_events = undo_swap(state, star[one + 1] // 3, events, n_events)
+    if is_closed and size - (two - one) == 3:
+        n_events = undo_swap(state, star[(two + 1) % size] // 3, events, n_events)
+    size, _ = walk_star(cells, nodes[vertex, LEAVING], star, ring)
     n_ring = size if is_closed else size + 1
-    one = find(ring, n_ring, state.ends[vertex, 0])
-    two = find(ring, n_ring, state.ends[vertex, 1])
-    one, two = min(one, two), max(one, two)
+    one, two = places_of_ends(nodes, vertex, ring, n_ring)
     first, n_events = merge_side(state, vertex, star[one], star[one + 1], events, n_events)
     second = -1
     if is_closed:
         left = star[(two + 1) % size]
         second, n_events = merge_side(state, vertex, star[two], left, events, n_events)
-    join(state.twins, first, second)
-    free_vertex(state, vertex)
+    join(cells, first, second)
+    free_vertex(state.counts, nodes, vertex)
     return n_ring, n_events
 
 
 @jit
-def add_candidate(state, vertex, candidates, n_candidates):
+def add_candidate(nodes, vertex, candidates, n_candidates):
     """Put a vertex that bisection has made on the stack, if it is not there yet."""
-    if state.stamps[vertex] > 0 and not state.waits[vertex]:
-        state.waits[vertex] = True
+    if nodes[vertex, STAMP] > 0 and not nodes[vertex, WAITS]:
+        nodes[vertex, WAITS] = 1
         candidates[n_candidates] = vertex
         n_candidates += 1
     return n_candidates
@@ -497,30 +520,31 @@ def add_candidate(state, vertex, candidates, n_candidates):
 def coarsen_targets(state, targets):
     """Undo bisections among the targets, as far as one call of refine went.
 
-    Removed vertices, events, and merged triangles. Each removal can make those around removable.
+    Returns removed vertices, and events. Each removal can make those around removable.
     """
-    n_targets = targets.size
+    n_targets, nodes, cells = targets.size, state.nodes, state.cells
     candidates = np.empty(7 * n_targets, np.int32)
     removed = np.empty(n_targets, np.int32)
     events = np.empty((4 * n_targets, 3), np.int32)
     star, ring = np.empty(LARGEST_STAR, np.int64), np.empty(LARGEST_STAR + 1, np.int64)
     n_candidates, n_removed, n_events = 0, 0, 0
-    for target in targets[::-1]:
-        state.marks[target] = TARGET
-        for vertex in state.triangles[target]:
-            n_candidates = add_candidate(state, vertex, candidates, n_candidates)
+    for i in range(n_targets - 1, -1, -1):
+        cells[targets[i], MARKS] = TARGET
+        for corner in range(3):
+            vertex = cells[targets[i], corner]
+            n_candidates = add_candidate(nodes, vertex, candidates, n_candidates)
     while n_candidates > 0:
         n_candidates -= 1
         vertex = candidates[n_candidates]
-        state.waits[vertex] = False
+        nodes[vertex, WAITS] = 0
         n_ring, n_events = remove(state, vertex, star, ring, events, n_events)
         if n_ring > 0:
             removed[n_removed] = vertex
             n_removed += 1
-        for around in ring[:n_ring]:
-            n_candidates = add_candidate(state, around, candidates, n_candidates)
+        for place in range(n_ring):
+            n_candidates = add_candidate(nodes, ring[place], candidates, n_candidates)
     for target in targets:
-        state.marks[target] = 0
+        cells[target, MARKS] = 0
     n_events = close_gaps(state, events, n_events)
     return removed[:n_removed], events[:n_events]
 
@@ -528,37 +552,30 @@ def coarsen_targets(state, targets):
 @jit
 def close_gaps(state, events, n_events):
     """Move the last triangles into the slots that merging has freed."""
+    counts, nodes, cells = state.counts, state.nodes, state.cells
     freed = np.empty(n_events, np.int32)
     n_freed = 0
-    for event in events[:n_events]:
-        if event[0] == MEAN:
-            freed[n_freed] = event[2]
+    for i in range(n_events):
+        if events[i, 0] == MEAN:
+            freed[n_freed] = events[i, 2]
             n_freed += 1
     freed = freed[:n_freed]
     freed.sort()
-    end = state.counts[N_TRIANGLES] - n_freed
-    mover = state.counts[N_TRIANGLES]
+    mover, end = counts[N_TRIANGLES], counts[N_TRIANGLES] - n_freed
     for slot in freed:
         if slot >= end:
             break
         mover -= 1
-        while state.triangles[mover, 0] < 0:
+        while cells[mover, 0] < 0:
             mover -= 1
-        move_triangle(state, mover, slot)
+        write_triangle(nodes, cells, slot, cells[mover, 0], cells[mover, 1], cells[mover, 2])
+        for side in range(3):
+            join(cells, 3 * np.int64(slot) + side, cells[mover, TWINS + side])
+        cells[slot, ROOT], cells[slot, LEVEL] = cells[mover, ROOT], cells[mover, LEVEL]
+        cells[slot, MARKS] = 0
         n_events = log(events, n_events, COPY, slot, mover)
-    state.counts[N_TRIANGLES] = end
+    counts[N_TRIANGLES] = end
     return n_events
-
-
-@jit
-def move_triangle(state, source, slot):
-    """Move a triangle to another slot."""
-    triangles, twins = state.triangles, state.twins
-    a, b, c = triangles[source, 0], triangles[source, 1], triangles[source, 2]
-    write_triangle(triangles, state.leaving, slot, a, b, c)
-    for side in range(3):
-        join(twins, 3 * slot + side, twins[3 * source + side])
-    state.roots[slot], state.levels[slot] = state.roots[source], state.levels[source]
 
 
 # --- carrying values ----------------------------------------------------------------------------

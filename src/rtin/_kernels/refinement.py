@@ -136,13 +136,14 @@ def put_longest_sides_first(vertices, triangles):
 def mark_side(marks, twins, triangle, side, marked, n_marked):
     """Mark a side in its triangle and in the one behind, -1 if none.
 
-    Returns that triangle and the length of ``marked``, the list of triangles with marks.
+    ``twins`` has a row for each triangle. Returns that triangle and the length of ``marked``, the
+    list of triangles with marks.
     """
     if marks[triangle] == 0:
         marked[n_marked] = triangle
         n_marked += 1
     marks[triangle] |= 1 << side
-    twin = twins[3 * triangle + side]
+    twin = twins[triangle, side]
     if twin < 0:
         return -1, n_marked
     behind = twin // 3
