@@ -5,8 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from affine import Affine
+from hypothesis import given
+from hypothesis import strategies as st
 
+import meshes
 import rtin
+import terrains
 
 KEPT_AS = {
     "i1": "float32", "u1": "float32", "i2": "float32", "u2": "float32", "f2": "float32",
@@ -191,3 +195,125 @@ def test_names_the_row_of_an_infinite_height_in_a_large_raster():
     heights[765, 4] = np.inf
     with pytest.raises(ValueError, match="row 765, column 4"):
         rtin.Grid(heights)
+
+
+# --- places and heights of points ---------------------------------------------------------------
+
+
+def world(transform, places):
+    """(x, y) of places (row, col)."""
+    return np.array([transform @ (col, row) for row, col in places])
+
+
+def bilinear(heights, row, col):
+    """Height at a place by the four samples around it; NaN where one that has a share lacks it."""
+    total = 0.0
+    for i in range(heights.shape[0]):
+        for j in range(heights.shape[1]):
+            share = max(0.0, 1.0 - abs(i - row)) * max(0.0, 1.0 - abs(j - col))
+            if share > 0.0:
+                total += share * heights[i, j]
+    return total
+
+
+@pytest.mark.parametrize("transform", meshes.TRANSFORMS)
+@pytest.mark.parametrize("shape", [(2, 2), (2, 7), (5, 4), (1000, 3)], ids=str)
+def test_places_of_samples_are_whole_and_heights_exact(transform, shape):
+    transform = meshes.TRANSFORMS[transform]
+    heights = np.random.default_rng(0).random(shape)  # which float32 would not hold
+    grid = rtin.Grid(heights, transform)
+    places = list(np.ndindex(shape))
+    np.testing.assert_array_equal(grid.places(world(transform, places)), places)
+    at = grid.heights_at(world(transform, places))
+    assert at.dtype == np.float64
+    np.testing.assert_array_equal(at.reshape(shape), heights)
+
+
+@given(
+    terrains.rasters(largest=6),
+    st.sampled_from(list(meshes.TRANSFORMS)),
+    st.lists(st.tuples(st.floats(-1, 6), st.floats(-1, 6)), min_size=1, max_size=30),
+)
+def test_heights_between_samples_are_bilinear_and_nan_outside(heights, transform, places):
+    transform = meshes.TRANSFORMS[transform]
+    grid = rtin.Grid(heights, transform)
+    points = world(transform, places)
+    rows, cols = np.subtract(heights.shape, 1)
+    for (row, col), (i, j), height in zip(
+        places, grid.places(points), grid.heights_at(points), strict=True
+    ):
+        assert abs(i - row) < 2e-6
+        assert abs(j - col) < 2e-6
+        if 0.0 <= i <= rows and 0.0 <= j <= cols:
+            np.testing.assert_allclose(height, bilinear(heights, i, j), rtol=1e-9, atol=1e-9)
+        else:
+            assert np.isnan(height)
+
+
+def test_heights_on_the_border_belong_to_the_raster_and_none_beyond_it():
+    grid = rtin.Grid([[0.0, 10.0, 20.0], [40.0, 50.0, 60.0]])
+    on_it = [[0.5, 0], [1.5, -1], [0, -0.25], [2, -0.75], [2, -1], [0, 0]]
+    assert grid.heights_at(on_it).tolist() == [5.0, 55.0, 10.0, 50.0, 60.0, 0.0]
+    beyond = [[-1e-5, 0], [0, 1e-5], [2 + 1e-5, -1], [2, -1 - 1e-5], [3, 0], [0, -2], [-1, 1]]
+    assert np.isnan(grid.heights_at(beyond)).all()
+
+
+def test_a_millionth_of_a_cell_from_a_sample_is_at_it():
+    grid = rtin.Grid([[0.0, 1e6], [2e6, 3e6]], (1000, 0, 5e6, 0, -1000, 4e6))
+    corner, near = (
+        np.array([5e6 + 1000, 4e6]),
+        0.0009 * np.array([[1, 0], [-1, 0], [0, 1], [1, -1]]),
+    )
+    assert grid.heights_at(corner + near).tolist() == [1e6] * 4
+    far = corner - [[0.002, 0], [0, 0.002]]
+    np.testing.assert_allclose(grid.heights_at(far), [1e6 - 2, 1e6 + 4], rtol=0, atol=0.01)
+    assert np.isnan(grid.heights_at([[5e6 + 1000.002, 4e6]])[0])
+
+
+def test_a_void_counts_only_where_it_has_a_share():
+    heights = np.arange(12.0).reshape(3, 4)
+    heights[1, 1] = np.nan
+    grid = rtin.Grid(heights)
+    beside = [[0, -1], [2, -1], [1, 0], [1, -2], [2, -0.5], [0.5, 0], [0, -1.5], [2.5, -1.5]]
+    assert grid.heights_at(beside).tolist() == [4.0, 6.0, 1.0, 9.0, 4.0, 0.5, 6.0, 8.5]
+    touching = [[1, -1], [1, -0.5], [0.5, -1], [1.5, -1], [1, -1.5], [0.1, -0.1], [1.9, -1.9]]
+    assert np.isnan(grid.heights_at(touching)).all()
+
+
+def test_a_plane_is_a_plane_everywhere():
+    row, col = np.indices((7, 5))
+    transform = terrains.UTM @ Affine.rotation(33.0) @ Affine.scale(2.0, -2.0)
+    grid = rtin.Grid(3.0 * row - 2.0 * col, transform)
+    places = np.random.default_rng(1).random((200, 2)) * (6, 4)
+    at = grid.heights_at(world(transform, places))
+    np.testing.assert_allclose(at, places @ (3.0, -2.0), atol=1e-6)
+
+
+def test_takes_no_points_and_lists_and_whole_numbers():
+    grid = rtin.Grid([[0, 1], [2, 3]])
+    assert grid.heights_at(np.empty((0, 2))).tolist() == []
+    assert grid.places(np.empty((0, 2))).shape == (0, 2)
+    assert grid.heights_at([[1, -1]]).tolist() == [3.0]
+    assert grid.places([[1, -1]]).tolist() == [[1.0, 1.0]]
+
+
+@pytest.mark.parametrize("transform", meshes.TRANSFORMS)
+def test_points_that_are_nowhere_have_no_height(transform):
+    grid = rtin.Grid([[0, 1], [2, 3]], meshes.TRANSFORMS[transform])
+    nowhere = [
+        [np.nan, 0],
+        [0, np.nan],
+        [np.inf, 0],
+        [0, -np.inf],
+        [np.inf, np.inf],
+        [1e308, 1e308],
+    ]
+    assert np.isnan(grid.heights_at(nowhere)).all()
+
+
+@pytest.mark.parametrize("wrong", [[], [1.0, 2.0], [[1.0, 2.0, 3.0]], [[1.0]], [[[1.0, 2.0]]], 5.0])
+def test_says_what_shape_points_have(wrong):
+    grid = rtin.Grid([[0, 1], [2, 3]])
+    for ask in (grid.places, grid.heights_at):
+        with pytest.raises(ValueError, match=r"points must have shape \(n, 2\), got \("):
+            ask(wrong)

@@ -11,7 +11,9 @@ __all__ = ["as_number"]
 
 def as_number(name: str, value: Any) -> float:  # noqa: ANN401
     """Return ``value`` as a float; raise TypeError where it is no number, as text and truth are."""
-    wrong_kind = TypeError(f"{name} must be a number, got {value!r}")
+    shape = getattr(value, "shape", ())  # an array would fill lines
+    got = f"an array of shape {shape}" if shape else repr(value)
+    wrong_kind = TypeError(f"{name} must be a number, got {got}")
     if isinstance(value, bool | np.bool_ | str | bytes) or np.ndim(value) != 0:
         raise wrong_kind
     try:

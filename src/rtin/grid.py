@@ -123,18 +123,22 @@ class Grid:
     def places(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return row and column, with fractions, of each point of the world, both of shape (n, 2).
 
-        Points closer than a millionth of a cell to a sample's place are taken to be at it.
+        Points closer than a millionth of a cell to a sample's place are taken to be at it. Raises
+        ValueError for an array of another shape.
         """
         points = np.asarray(xy, np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"points must have shape (n, 2), got {points.shape}")
         a, b, x0, d, e, y0 = tuple(self.transform)[:6]
         # From the raster's own origin, so that large coordinates don't cost digits.
         x, y = points[:, 0] - x0, points[:, 1] - y0
         determinant = a * e - b * d
         places = np.empty((len(x), 2))
-        places[:, 0] = (a * y - d * x) / determinant
-        places[:, 1] = (e * x - b * y) / determinant
-        nearest = np.rint(places)
-        return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
+        with np.errstate(invalid="ignore", over="ignore"):  # a point may be anywhere, or nowhere
+            places[:, 0] = (a * y - d * x) / determinant
+            places[:, 1] = (e * x - b * y) / determinant
+            nearest = np.rint(places)
+            return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
 
     def heights_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the height at each point of the world: exact at samples, bilinear between them.
