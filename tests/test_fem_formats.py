@@ -150,6 +150,17 @@ def test_gmsh_makes_a_physical_group_of_each_tag(tmp_path):
         gmsh.finalize()
 
 
+@pytest.mark.parametrize("tags", TAGS.values(), ids=TAGS)
+def test_each_tag_has_a_surface_of_its_own_with_a_positive_number(tags, tmp_path):
+    # Gmsh drops triangles of other surfaces, and groups all triangles of one surface together.
+    mesh = with_tags(in_utm(), tags)
+    write_mesh(mesh, tmp_path / "mesh.msh")
+    surfaces = meshio.read(tmp_path / "mesh.msh").cell_data["gmsh:geometrical"][0]
+    assert surfaces.min() > 0
+    pairs = np.unique(np.column_stack([mesh.tags, surfaces]), axis=0)
+    assert len(pairs) == len(set(tags)) == len(set(surfaces))
+
+
 def test_py2dm_finds_vertices_triangles_and_tags(tmp_path):
     py2dm = pytest.importorskip("py2dm")
     mesh = with_tags(in_utm(), [5, 1])
@@ -375,10 +386,11 @@ def test_what_is_no_whole_number_is_no_tag(tags, suffix, tmp_path):
     assert read_mesh(tmp_path / f"mesh{suffix}").tags is None
 
 
-def test_tags_of_a_vtp_with_lines_and_points_are_those_of_its_faces(tmp_path):
-    lines, faces = [2, 0, 1], [3, 0, 1, 5, 3, 5, 4, 0, 4, 1, 3, 2, 5]
+@pytest.mark.parametrize("last", [[4, 1, 3, 2, 5], [3, 1, 2, 5, 3, 1, 3, 2]])
+def test_tags_of_a_vtp_with_lines_and_points_are_those_of_its_faces(last, tmp_path):
+    lines, faces = [2, 0, 1], [3, 0, 1, 5, 3, 5, 4, 0, *last]
     data = pyvista.PolyData(np.array(PLACES, float), faces=faces, lines=lines, verts=[1, 2])
-    data.cell_data["material"] = [1, 2, 7, 7, 9]
+    data.cell_data["material"] = [1, 2, 7, 7, 9, 9][: data.n_cells]
     data.save(tmp_path / "mesh.vtp")
     assert sorted(read_mesh(tmp_path / "mesh.vtp").tags.tolist()) == [7, 7, 9, 9]
 
@@ -440,6 +452,23 @@ def test_cells_of_second_order_are_cut_in_a_2dm_too(tmp_path):
         assert (mesh.n_triangles, mesh.tags) == (n_triangles, None)
 
 
+ALTERNATING = {
+    "mesh.2dm": "MESH2D\nE4Q 1 1 2 4 3 1\nE3T 2 2 5 4 2\nE4Q 3 3 4 7 6 3\nE3T 4 4 5 7 4\n"
+    "ND 1 0 0 0\nND 2 1 0 0\nND 3 0 1 0\nND 4 1 1 0\nND 5 2 1 0\nND 6 0 2 0\nND 7 1 2 0\n",
+    "mesh.msh": "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n7\n1 0 0 0\n2 1 0 0\n3 0 1 0\n"
+    "4 1 1 0\n5 2 1 0\n6 0 2 0\n7 1 2 0\n$EndNodes\n$Elements\n4\n1 3 2 1 1 1 2 4 3\n"
+    "2 2 2 2 1 2 5 4\n3 3 2 3 1 3 4 7 6\n4 2 2 4 1 4 5 7\n$EndElements\n",
+}
+
+
+@pytest.mark.parametrize(("name", "text"), ALTERNATING.items(), ids=ALTERNATING)
+def test_cells_of_several_kinds_keep_their_order(name, text, tmp_path):
+    (tmp_path / name).write_text(text)
+    mesh = read_mesh(tmp_path / name)
+    validity.check(mesh)
+    assert mesh.tags.tolist() == [1, 1, 2, 3, 3, 4]
+
+
 @pytest.mark.parametrize("turn", range(4))
 def test_a_quad_with_a_dent_is_cut_inside(turn, tmp_path):
     dented = np.roll([[0, 0, 0], [3, 0, 0], [1, 1, 0], [0, 3, 0]], turn, axis=0)
@@ -475,7 +504,7 @@ WRONG = [
     ("four.msh", MSH_4, "\n11\n", "\n12\n", "node 12 is there twice"),
     ("four.msh", MSH_4, "3 6 10", "9 6 10", "more numbers are announced than are there"),
     ("four.msh", MSH_4, "1 3 0 2", "1 3 0 999999999999", "999,999,999,999 more numbers"),
-    ("four.msh", MSH_4, "0 0.5", "x 0.5", "unmatched|more numbers are announced"),
+    ("four.msh", MSH_4, "0 0.5", "x 0.5", "something that is no number stands where"),
     ("four.msh", MSH_4, "$EndElements", "", r"\$EndElements is missing; the file is cut short"),
     ("two.msh", MSH_2, "$Elements\n4", "$Elements\n5", "more numbers are announced"),
     ("two.msh", MSH_2, "$Nodes\n6", "$Nodes\n-1", "a count must be zero or more, got -1"),
@@ -483,7 +512,7 @@ WRONG = [
     ("a.2dm", SMS, "MESH2D", "MESH3D", "it does not start with MESH2D"),
     ("a.2dm", SMS, "20 40 41 12 9", "20 40 41", "line 8: E4Q wants a number and 4 nodes, got 4"),
     ("a.2dm", SMS, "ND 40 2 0 2", "ND 40 2 0", "line 12: ND wants a number, x, y and z, got 3"),
-    ("a.2dm", SMS, "ND 40", "ND 4O", "could not convert"),
+    ("a.2dm", SMS, "ND 40", "ND 4O", "something that is no number stands where"),
     ("a.2dm", SMS, "ND 40", "ND 20", "node 20 is there twice"),
     ("a.2dm", SMS, "20 40 41", "20 40 42", "a cell names node 42, which is not there"),
 ]
@@ -497,6 +526,15 @@ def test_what_is_wrong_is_told_in_one_line(name, text, old, new, message, tmp_pa
         read_mesh(tmp_path / name)
     assert "\n" not in str(caught.value)
     assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(("suffix", "n_bytes"), [(".msh", 20), (".2dm", 1)])
+def test_a_file_that_lacks_its_very_end_is_told(suffix, n_bytes, tmp_path):
+    path = tmp_path / f"mesh{suffix}"
+    write_mesh(bumpy(), path)
+    path.write_bytes(path.read_bytes()[:-n_bytes])
+    with pytest.raises(OSError, match="the file is cut short$"):
+        read_mesh(path)
 
 
 def test_an_xdmf_without_its_hdf5_file_is_told(tmp_path):

@@ -99,7 +99,10 @@ def coarsen(
     dem: _Dem,
     out: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help="Mesh to write: .glb .obj .ply .stl .vtu .vtp .html."),
+        typer.Argument(
+            metavar="OUT",
+            help="Mesh to write: .glb .obj .ply .stl .vtu .vtp .msh .xdmf .2dm .html.",
+        ),
     ],
     max_error: _MaxError = None,
     max_vertices: _MaxVertices = None,

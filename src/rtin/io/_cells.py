@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ __all__ = [
     "as_tags",
     "cut",
     "find_tags",
-    "renumbered",
+    "numbers_in",
     "stored_tags",
     "with_tagged",
 ]
@@ -74,33 +75,54 @@ class Cells(NamedTuple):
     tags: _Ints | None = None
 
 
-def cut(blocks: Iterable[Cells], points: _Floats) -> tuple[_Ints, _Ints | None]:
+def cut(
+    blocks: Iterable[Cells], points: _Floats, numbers: _Ints | None = None
+) -> tuple[_Ints, _Ints | None]:
     """Return the triangles of all blocks, in their order, and the tags of the cells they are of.
 
-    Points and lines are passed over. Cells without a tag, where others have one, have 0.
+    Points and lines are passed over. Cells without a tag, where others have one, have 0. Nodes are
+    named by ``numbers``, one for each point; they count from 0 where that is left out.
 
     Raises
     ------
     ValueError
-        If there are cells of another kind, such as tetrahedra, or a cell names no node.
+        If there are cells of another kind, such as tetrahedra, a cell names a node that is not
+        there, or one is there twice.
     """
+    kinds = _by_kind(blocks)
+    is_tagged = any(block.tags is not None for blocks in kinds.values() for _, block in blocks)
     triangles: list[_Ints] = [np.empty((0, 3), dtype=np.int64)]
-    tags: list[_Ints] = []
-    is_tagged = False
-    for block in blocks:
-        if block.kind.startswith(("vertex", "line")):
-            continue
-        pieces = _pieces(block, points)
+    tags: list[_Ints] = [np.empty(0, dtype=np.int64)]
+    places: list[_Ints] = [np.empty(0, dtype=np.int64)]
+    for kind, numbered in kinds.items():
+        nodes = np.concatenate([block.nodes for _, block in numbered])
+        if numbers is not None:
+            nodes = _indices_of(nodes, numbers)
+        pieces = _pieces(kind, nodes, points)
+        n_pieces = pieces.shape[1]
         triangles.append(pieces.reshape(-1, 3))
-        numbers = np.zeros(len(pieces), np.int64) if block.tags is None else block.tags
-        tags.append(np.repeat(numbers, pieces.shape[1]))
-        is_tagged = is_tagged or block.tags is not None
-    return np.concatenate(triangles), np.concatenate(tags) if is_tagged else None
+        tags.append(np.repeat(np.concatenate([_tags(block) for _, block in numbered]), n_pieces))
+        lengths = [len(block.nodes) * n_pieces for _, block in numbered]
+        places.append(np.repeat([place for place, _ in numbered], lengths))
+    order = np.argsort(np.concatenate(places), kind="stable")
+    return np.concatenate(triangles)[order], np.concatenate(tags)[order] if is_tagged else None
 
 
-def _pieces(block: Cells, points: _Floats) -> _Ints:
+def _by_kind(blocks: Iterable[Cells]) -> dict[str, list[tuple[int, Cells]]]:
+    """Return the blocks of each kind, with their places: there may be as many as cells."""
+    kinds: dict[str, list[tuple[int, Cells]]] = {}
+    for place, block in enumerate(blocks):
+        if not block.kind.startswith(("vertex", "line")):
+            kinds.setdefault(block.kind, []).append((place, block))
+    return kinds
+
+
+def _tags(block: Cells) -> _Ints:
+    return np.zeros(len(block.nodes), dtype=np.int64) if block.tags is None else block.tags
+
+
+def _pieces(kind: str, nodes: _Ints, points: _Floats) -> _Ints:
     """Return the triangles of each cell, shape (cells, triangles of a cell, 3)."""
-    kind, nodes = block.kind, np.asarray(block.nodes)
     if kind not in _TRIANGLES_OF and kind not in _QUADS_OF:
         raise ValueError(f"triangles and quads are wanted, got cells of kind {kind}")
     if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
@@ -143,14 +165,8 @@ def as_tags(values: NDArray[Any]) -> _Ints | None:
     return tags if np.array_equal(tags, flat) else None
 
 
-def renumbered(blocks: Iterable[Cells], numbers: _Ints) -> list[Cells]:
-    """Return cells whose nodes count from 0, of ones that name nodes by their ``numbers``.
-
-    Raises
-    ------
-    ValueError
-        If a cell names a number that is not there, or one is there twice.
-    """
+def _indices_of(wanted: _Ints, numbers: _Ints) -> _Ints:
+    """Return where each of the ``wanted`` stands among ``numbers``."""
     if not len(numbers):
         raise ValueError("there are no nodes")
     order = np.argsort(numbers, kind="stable")
@@ -158,15 +174,21 @@ def renumbered(blocks: Iterable[Cells], numbers: _Ints) -> list[Cells]:
     is_again = ordered[1:] == ordered[:-1]
     if is_again.any():
         raise ValueError(f"node {ordered[1:][is_again][0]} is there twice")
-    return [block._replace(nodes=_found(block.nodes, order, ordered)) for block in blocks]
-
-
-def _found(wanted: _Ints, order: _Ints, ordered: _Ints) -> _Ints:
     place = np.minimum(np.searchsorted(ordered, wanted), len(ordered) - 1)
     is_missing = ordered[place] != wanted
     if is_missing.any():
         raise ValueError(f"a cell names node {wanted[is_missing][0]}, which is not there")
     return order[place]
+
+
+def numbers_in(text: bytes) -> _Floats:
+    """Return the numbers of a text; raise ValueError where something else is among them."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # what older NumPy says
+            return np.fromstring(text, dtype=np.float64, sep=" ")
+    except (ValueError, DeprecationWarning):
+        raise ValueError("something that is no number stands where numbers are wanted") from None
 
 
 def with_tagged(placed: PlacedMesh) -> str:

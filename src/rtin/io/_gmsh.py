@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.io._cells import Cells, FileMesh, cut, renumbered, stored_tags, with_tagged
+from rtin.io._cells import Cells, FileMesh, cut, numbers_in, stored_tags, with_tagged
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["msh", "read"]
@@ -92,7 +91,7 @@ def read(path: Path) -> FileMesh:
         numbers, points, blocks = _version_2(content, order)
     else:
         raise ValueError(f"MSH 2.2 and 4.1 are read, got {version.decode()}; save it anew in Gmsh")
-    triangles, tags = cut(renumbered(blocks, numbers), points)
+    triangles, tags = cut(blocks, points, numbers)
     stored = _stored(content)
     return FileMesh(points, triangles, stored, stored_tags(tags, stored))
 
@@ -129,7 +128,7 @@ class _Numbers:
     def __init__(self, section: bytes, order: str) -> None:
         self._order = order  # of bytes
         self._at = 0
-        self._values: Any = section if order else _floats(section)
+        self._values: Any = section if order else numbers_in(section)
 
     def take(self, kind: str, count: int) -> NDArray[Any]:
         """Return the next ``count`` numbers of a kind that NumPy names, such as "i4"."""
@@ -163,13 +162,6 @@ class _Numbers:
     def put_back(self, count: int) -> None:
         """Take the last ``count`` numbers of a text once more."""
         self._at -= count
-
-
-def _floats(text: bytes) -> NDArray[np.float64]:
-    """Return the numbers of a text, up to the first that is none; there are then too few."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return np.fromstring(text, dtype=np.float64, sep=" ")
 
 
 def _kind(number: int) -> tuple[str, int]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.io._cells import Cells, FileMesh, as_tags, cut, renumbered, stored_tags, with_tagged
+from rtin.io._cells import Cells, FileMesh, as_tags, cut, numbers_in, stored_tags, with_tagged
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["read", "sms"]
@@ -60,7 +60,7 @@ def read(path: Path) -> FileMesh:
     rows = _as_numbers(nodes, 4, "ND wants a number, x, y and z")
     points = rows[:, 1:]
     numbers = rows[:, 0].astype(np.int64)
-    triangles, tags = cut(renumbered(map(_cells, runs), numbers), points)
+    triangles, tags = cut(map(_cells, runs), points, numbers)
     found = [line for line in lines if line.startswith(_MARK)]
     stored = json.loads(found[0].removeprefix(_MARK)) if found else None
     if stored is not None and not content.endswith(b"\n"):
@@ -102,4 +102,5 @@ def _as_numbers(rows: _Rows, count: int, wanted: str) -> NDArray[np.float64]:
     for number, fields in rows:
         if len(fields) < count:
             raise ValueError(f"line {number}: {wanted}, got {len(fields)} fields")
-    return np.array([fields[:count] for _, fields in rows], dtype=np.float64).reshape(-1, count)
+    text = b" ".join(b" ".join(fields[:count]) for _, fields in rows)
+    return numbers_in(text).reshape(len(rows), count)
