@@ -533,7 +533,7 @@ def test_a_file_that_lacks_its_very_end_is_told(suffix, n_bytes, tmp_path):
     path = tmp_path / f"mesh{suffix}"
     write_mesh(bumpy(), path)
     path.write_bytes(path.read_bytes()[:-n_bytes])
-    with pytest.raises(OSError, match="the file is cut short$"):
+    with pytest.raises(OSError, match=r"the file is cut short$"):
         read_mesh(path)
 
 

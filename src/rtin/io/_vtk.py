@@ -69,16 +69,12 @@ def read(path: Path) -> FileMesh:
     if data.n_points == 0:
         raise ValueError("VTK finds no points in it")
     stored = bytes(data.field_data["rtin"]) if "rtin" in data.field_data else None
-    if isinstance(data, pyvista.PolyData):
-        surface = data if data.is_all_triangles else data.triangulate()
-        triangles = surface.faces.reshape(-1, 4)[:, 1:]
-        # Cells are numbered points first, then lines, then faces.
-        cells = surface.n_verts + surface.n_lines + np.arange(len(triangles))
-    else:
-        _require_flat_cells(data)
-        surface = data.triangulate()
-        triangles = surface.cells_dict.get(pyvista.CellType.TRIANGLE, np.empty((0, 3), int))
-        cells = np.flatnonzero(surface.celltypes == pyvista.CellType.TRIANGLE)
+    # PolyData with lines loses track of its cell data in VTK's filter for it.
+    grid = data.cast_to_unstructured_grid() if isinstance(data, pyvista.PolyData) else data
+    _require_flat_cells(grid)
+    surface = grid.triangulate()
+    triangles = surface.cells_dict.get(pyvista.CellType.TRIANGLE, np.empty((0, 3), int))
+    cells = np.flatnonzero(surface.celltypes == pyvista.CellType.TRIANGLE)
     tags = find_tags(surface.cell_data)
     return FileMesh(
         np.asarray(surface.points, dtype=np.float64),
