@@ -281,3 +281,101 @@ def test_help_and_version_do_not_wait_for_heavy_imports(arguments):
 def test_importing_the_package_does_not_import_numba():
     code = "import rtin, sys; rtin.Grid; rtin.coarsen; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- refine -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def coarse(dem, tmp_path):
+    path = tmp_path / "coarse.ply"
+    rtin.write_mesh(rtin.coarsen(rtin.read_grid(dem), max_error=100), path)
+    return path
+
+
+def refined(coarse, tmp_path, *options):
+    out = tmp_path / "fine.ply"
+    result = run("refine", coarse, out, *options, "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    mesh = rtin.read_mesh(out)
+    assert (summary["vertices"], summary["triangles"]) == (mesh.n_vertices, mesh.n_triangles)
+    assert summary["before"]["triangles"] == rtin.read_mesh(coarse).n_triangles
+    return mesh, summary
+
+
+@pytest.mark.parametrize("scheme", ["4T-LE", "4T-SS", "bisection"])
+def test_refine_where_a_condition_holds(coarse, tmp_path, scheme):
+    before = rtin.read_mesh(coarse)
+    high = before.vertices[before.triangles, 2].mean(axis=1) > 600
+    mesh, _ = refined(coarse, tmp_path, "--where", "z > 600", "--scheme", scheme)
+    np.testing.assert_array_equal(mesh.triangles, rtin.refine(before, high, scheme).triangles)
+
+
+def test_refine_asks_again_as_often_as_wanted(coarse, tmp_path):
+    mesh, _ = refined(coarse, tmp_path, "--where", "area > 50", "--times", 20)
+    assert mesh.signed_areas().max() <= 50
+    assert mesh.signed_areas().sum() == 128 * 128
+
+
+def test_refine_takes_a_list_of_triangles(coarse, tmp_path):
+    (tmp_path / "list.txt").write_text("0 5\n7")
+    mesh, _ = refined(coarse, tmp_path, "--triangles", tmp_path / "list.txt")
+    assert mesh.n_triangles == rtin.refine(rtin.read_mesh(coarse), [0, 5, 7]).n_triangles
+
+
+def test_refine_uniformly_and_take_heights_from_a_raster(coarse, dem, tmp_path):
+    before, grid = rtin.read_mesh(coarse), rtin.read_grid(dem)
+    mesh, summary = refined(coarse, tmp_path, "--uniform", 2, "--dem", dem)
+    assert mesh.n_triangles == 16 * before.n_triangles
+    np.testing.assert_array_equal(mesh.vertices[:, 2], grid.heights_at(mesh.vertices[:, :2]))
+    assert summary["achieved"]["max_error"] == rtin.vertical_error(mesh, grid).max
+
+
+def test_refine_until_the_mesh_fits_a_raster(coarse, dem, tmp_path):
+    _, summary = refined(coarse, tmp_path, "--max-error", 10, "--dem", dem)
+    assert 0 < summary["achieved"]["max_error"] <= 10
+    assert summary["asked"] == {"max_error": 10}
+    _, by_threshold = refined(coarse, tmp_path, "--threshold", 10, "--dem", dem)
+    assert summary["before"]["vertices"] < by_threshold["vertices"]
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        ([], 2, "exactly one of --where, --triangles, --uniform, --max-error, --threshold"),
+        (["--uniform", 1, "--where", "z > 1"], 2, "got --where and --uniform"),
+        (["--uniform", -1], 2, "--uniform"),
+        (["--max-error", 5], 2, "--max-error wants a raster to fit: --dem DEM"),
+        (["--threshold", 5], 2, "--threshold wants a raster to fit: --dem DEM"),
+        (["--uniform", 2, "--times", 2], 2, "--times goes with --where"),
+        (["--where", "import os"], 2, "a condition such as 'z > 100' is wanted"),
+        (["--where", "height > 3"], 2, "cannot use 'height' in a condition"),
+        (["--triangles", "missing.txt"], 1, "missing.txt: No such file"),
+        (["--uniform", 1, "--scheme", "4t"], 2, "--scheme"),
+    ],
+)
+def test_wrong_ways_to_refine_end_in_one_line_and_write_nothing(
+    coarse, tmp_path, options, code, message
+):
+    out = tmp_path / "fine.ply"
+    result = run("refine", coarse, out, *options)
+    assert result.exit_code == code
+    assert message in " ".join(result.output.split())
+    assert not out.exists()
+
+
+def test_a_list_with_triangles_that_are_not_there_fails(coarse, tmp_path):
+    (tmp_path / "list.txt").write_text("1000000")
+    result = run("refine", coarse, tmp_path / "fine.ply", "--triangles", tmp_path / "list.txt")
+    assert result.exit_code == 1
+    assert "are there, got 1000000" in result.output
+
+
+def test_a_mesh_that_is_not_conforming_is_refused_with_its_fault(tmp_path):
+    points = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [1, 1, 0]]
+    hanging = rtin.TriangleMesh.from_triangles(points, [[0, 1, 2], [0, 4, 3], [4, 2, 3]])
+    rtin.write_mesh(hanging, tmp_path / "hanging.ply")
+    result = run("refine", tmp_path / "hanging.ply", tmp_path / "out.ply", "--uniform", 1)
+    assert result.exit_code == 1
+    assert "vertex 4 hangs inside edge 0-2 of triangle 0, at (1, 1)" in result.output

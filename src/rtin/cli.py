@@ -71,6 +71,15 @@ _Threshold = Annotated[
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
     ),
 ]
+_MeshOut = Annotated[
+    Path,
+    typer.Argument(
+        metavar="OUT", help="Mesh to write: .glb .obj .ply .stl .vtu .vtp .msh .xdmf .2dm .html."
+    ),
+]
+_KeepDegrees = Annotated[
+    bool, typer.Option("--keep-degrees", help="Do not scale degrees to metres.")
+]
 _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
 
 
@@ -97,13 +106,7 @@ def _program(
 @app.command()
 def coarsen(
     dem: _Dem,
-    out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="Mesh to write: .glb .obj .ply .stl .vtu .vtp .msh .xdmf .2dm .html.",
-        ),
-    ],
+    out: _MeshOut,
     max_error: _MaxError = None,
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
@@ -119,9 +122,7 @@ def coarsen(
             help="Close the mesh to a solid for printing, this much deep below its lowest point.",
         ),
     ] = None,
-    keep_degrees: Annotated[
-        bool, typer.Option("--keep-degrees", help="Do not scale degrees to metres.")
-    ] = False,
+    keep_degrees: _KeepDegrees = False,
     as_json: _Json = False,
 ) -> None:
     """Coarsen a raster to a mesh."""
@@ -153,6 +154,92 @@ def coarsen(
         }
         placed = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees)
         summary["notes"] = [*filter(None, [placed.note]), *_warnings_about(grid)]
+        _report(summary, as_json)
+
+
+@app.command()
+def refine(
+    path: Annotated[Path, typer.Argument(metavar="MESH", help="A mesh that rtin reads.")],
+    out: _MeshOut,
+    where: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CONDITION",
+            help="Refine triangles that meet it, such as 'z > 100 and slope < 30'; of x, y, z, "
+            "z_min, z_max, area, length (of the longest edge), slope (degrees), tag, number.",
+        ),
+    ] = None,
+    triangles: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Refine those that a file lists: text, or .npy."),
+    ] = None,
+    uniform: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Refine all triangles, N times.")
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HEIGHT", help="Refine until every sample of --dem is within this, vertically."
+        ),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(metavar="HEIGHT", help="Refine while Eq. (1) of the paper exceeds this."),
+    ] = None,
+    dem: Annotated[
+        Path | None,
+        typer.Option(metavar="DEM", help="Raster that gives new vertices their heights."),
+    ] = None,
+    scheme: Annotated[
+        Literal["4T-LE", "4T-SS", "bisection"], typer.Option(help="How a triangle is split.")
+    ] = "4T-LE",
+    times: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Ask --where so often, each time anew.")
+    ] = 1,
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    z_scale: _ZScale = 1.0,
+    keep_degrees: _KeepDegrees = False,
+    as_json: _Json = False,
+) -> None:
+    """Refine a triangle mesh, locally or as a whole, and keep it conforming."""
+    asked = _the_only_option(
+        where=where,
+        triangles=triangles,
+        uniform=uniform,
+        max_error=max_error,
+        threshold=threshold,
+    )
+    if dem is None and {"max_error", "threshold"} & asked.keys():
+        raise typer.BadParameter(f"{_flag(next(iter(asked)))} wants a raster to fit: --dem DEM")
+    if times > 1 and where is None:
+        raise typer.BadParameter("--times goes with --where; for all triangles there is --uniform")
+    _require_positive("--z-scale", z_scale)
+    with _one_line_errors():
+        from rtin.io.meshes import placement_of, read_mesh, write_mesh
+
+        _require_writable(out, dem)
+        started = time.perf_counter()
+        with _progress(f"reading {path}"):
+            mesh = read_mesh(path)
+        grid = None if dem is None else _read_grid(dem, band, window, encoding)
+        with _progress(f"refining {mesh.n_triangles} triangles"):
+            refined = _refined(mesh, grid, asked, scheme, times)
+        with _progress(f"writing {out}"):
+            write_mesh(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
+        summary = {
+            "input": str(path),
+            "output": str(out),
+            "before": _mesh_counts(mesh),
+            **_mesh_counts(refined),
+            "asked": {name: str(v) if isinstance(v, Path) else v for name, v in asked.items()},
+            **({} if grid is None else _achieved(_measured(refined, grid))),
+            "bytes": out.stat().st_size,
+            "seconds": round(time.perf_counter() - started, 3),
+        }
+        placed = placement_of(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
+        summary["notes"] = [*filter(None, [placed.note])]
         _report(summary, as_json)
 
 
@@ -252,15 +339,41 @@ def _read_grid(
 
 def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMesh, VerticalError]:
     from rtin.coarsening import coarsen, is_compiled
-    from rtin.criteria import vertical_error
 
     if not is_compiled():
         _say("first run: compiling, which takes some 15 seconds, once for this machine")
     rows, cols = grid.shape
     with _progress(f"coarsening {rows} × {cols} samples"):
         mesh = coarsen(grid, **asked)
+    return mesh, _measured(mesh, grid)
+
+
+def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
+    from rtin.criteria import vertical_error
+
     with _progress("measuring the achieved error"):
-        return mesh, vertical_error(mesh, grid)
+        return vertical_error(mesh, grid)
+
+
+def _refined(
+    mesh: TriangleMesh, grid: Grid | None, asked: dict[str, Any], scheme: str, times: int
+) -> TriangleMesh:
+    from rtin import selection
+    from rtin.refinement import refine, refine_to
+
+    if grid is not None and {"max_error", "threshold"} & asked.keys():
+        return refine_to(mesh, grid, scheme=scheme, **asked)
+    targets: Any
+    for _ in range(asked.get("uniform", times)):
+        if "where" in asked:
+            with _values_are_usage():
+                targets = selection.where(mesh, asked["where"])
+        elif "triangles" in asked:
+            targets = selection.read_numbers(asked["triangles"])
+        else:
+            targets = range(mesh.n_triangles)
+        mesh = refine(mesh, targets, scheme, heights=grid)
+    return mesh
 
 
 def _warnings_about(grid: Grid) -> list[str]:
@@ -340,15 +453,15 @@ def _achieved(error: VerticalError) -> dict[str, Any]:
 # --- options ------------------------------------------------------------------------------------
 
 
-def _the_only_option(**options: float | None) -> dict[str, float]:
-    """Return the one tolerance or budget given; anything else is bad usage."""
+def _the_only_option(**options: float | str | Path | None) -> dict[str, Any]:
+    """Return the one option given of several; none, more, and negative ones are bad usage."""
     given = {name: value for name, value in options.items() if value is not None}
     flags = ", ".join(_flag(name) for name in options)
     if len(given) != 1:
         got = " and ".join(_flag(name) for name in given) or "none"
         raise typer.BadParameter(f"exactly one of {flags} is wanted, got {got}")
     name, value = next(iter(given.items()))
-    if not value >= 0:
+    if isinstance(value, int | float) and not value >= 0:
         raise typer.BadParameter(f"{_flag(name)} must be zero or more, got {value}")
     return given
 
@@ -362,11 +475,11 @@ def _require_positive(flag: str, value: float | None) -> None:
         raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
 
 
-def _require_writable(out: Path, dem: Path) -> None:
+def _require_writable(out: Path, dem: Path | None) -> None:
     """Refuse an output that can't be written before any work is done."""
     from rtin.io.meshes import require_writable
 
-    if out.exists() and dem.exists() and out.samefile(dem):
+    if dem is not None and out.exists() and dem.exists() and out.samefile(dem):
         raise typer.BadParameter(f"OUT must not be the raster itself, got {out} for both")
     with _values_are_usage():
         require_writable(out)
