@@ -2,6 +2,7 @@
 
 import re
 from fractions import Fraction
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import rtin
 import terrains
 from rtin import validity
 from rtin.mesh import TriangleMesh
+from test_validity import FAULTS
 
 SCHEMES = meshes.SCHEMES
 SQUARE = TriangleMesh.from_triangles(
@@ -660,3 +662,203 @@ def test_does_what_scikit_fem_does_on_lattices(seed):
     heights = terrains.noise((9, 9), seed)
     mesh = meshes.uniform(4) if seed % 2 else rtin.coarsen(rtin.Grid(heights), max_error=40.0)
     assert_agrees_with_scikit_fem(mesh, rng, 5)
+
+
+# --- what it does not take ----------------------------------------------------------------------
+
+
+def first_complaint(mesh):
+    """What `validity.check` would say first, but for vertices that belong to no triangle."""
+    wrong = [c for c in validity.complaints(mesh) if "belongs to no triangle" not in c]
+    return re.sub(r" \(\d+ such\)$", "", wrong[0]) if wrong else None
+
+
+def assert_refused(mesh, targets=(0,), **options):
+    before = bytes_of(mesh)
+    with pytest.raises(validity.InvalidMesh) as raised:
+        rtin.refine(mesh, targets, **options)
+    assert str(raised.value) == first_complaint(mesh)
+    assert bytes_of(mesh) == before
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "unused vertex"])
+def test_says_of_each_fault_what_a_check_says(fault, scheme):
+    mesh, (complaint, *_) = FAULTS[fault]
+    assert_refused(mesh, scheme=scheme)
+    assert_refused(mesh, [], scheme=scheme)
+    assert first_complaint(mesh) == complaint
+
+
+# Three triangles at the edge from 0 to 1, on either side of it, and a fourth.
+FAN = [[0, 0, 0], [2, 0, 0], [1, 1, 0], [1, -1, 0], [1, 2, 0], [1, -2, 0]]
+SHEETS = [[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 0, 5]]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))), ids=str)
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_refuses_an_edge_of_three_triangles_in_every_order(order, turn):
+    triangles = np.roll([SHEETS[i] for i in order], turn, axis=1)
+    assert_refused(TriangleMesh(FAN[:5], triangles))
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)
+def test_refuses_two_sheets_through_one_edge(order):
+    assert_refused(TriangleMesh(FAN, [SHEETS[i] for i in order]))
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_refuses_a_mesh_that_is_there_twice(turn):
+    mesh = meshes.uniform(2)
+    again = np.roll(mesh.triangles, turn, axis=1)
+    assert_refused(TriangleMesh(mesh.vertices, np.r_[mesh.triangles, again]))
+    assert_refused(TriangleMesh(mesh.vertices, np.r_[mesh.triangles, again][::-1]))
+    assert_refused(TriangleMesh(mesh.vertices, np.repeat(again, 2, axis=0)))
+    above = mesh.vertices + np.array([0, 0, 9])
+    sheets = np.r_[mesh.triangles, again + mesh.n_vertices]
+    assert_refused(TriangleMesh(np.r_[mesh.vertices, above], sheets))
+
+
+def flipped(mesh, rng):
+    triangles = mesh.triangles.copy()
+    at = rng.integers(mesh.n_triangles)
+    triangles[at] = triangles[at, ::-1]
+    return TriangleMesh(mesh.vertices, triangles)
+
+
+def repeated(mesh, rng):
+    again = np.roll(mesh.triangles[rng.integers(mesh.n_triangles)], rng.integers(3))
+    return TriangleMesh(mesh.vertices, np.r_[mesh.triangles, [again]])
+
+
+def torn(mesh, rng):
+    """One triangle gets a vertex of its own, at the same place or a little off."""
+    triangles, (at, corner) = mesh.triangles.copy(), rng.integers((mesh.n_triangles, 3))
+    vertex = mesh.vertices[triangles[at, corner]] + [0, 0, rng.integers(2)]
+    triangles[at, corner] = mesh.n_vertices
+    return TriangleMesh(np.vstack([mesh.vertices, vertex]), triangles)
+
+
+def hanging(mesh, rng):
+    """One triangle is bisected at one side, its neighbours are not."""
+    a, b, c = np.roll(mesh.triangles[(at := rng.integers(mesh.n_triangles))], rng.integers(3))
+    middle = (mesh.vertices[a] + mesh.vertices[b]) / 2
+    halves = [[c, a, mesh.n_vertices], [b, c, mesh.n_vertices]]
+    triangles = np.r_[np.delete(mesh.triangles, at, axis=0), halves]
+    return TriangleMesh(np.vstack([mesh.vertices, middle]), triangles)
+
+
+def flattened(mesh, rng):
+    """A vertex is moved into the middle of an edge of its triangle."""
+    vertices = mesh.vertices.copy()
+    a, b, c = np.roll(mesh.triangles[rng.integers(mesh.n_triangles)], rng.integers(3))
+    vertices[c] = (vertices[a] + vertices[b]) / 2
+    return TriangleMesh(vertices, mesh.triangles)
+
+
+def misnamed(mesh, rng):
+    triangles, at = mesh.triangles.copy(), rng.integers((mesh.n_triangles, 3))
+    triangles[tuple(at)] = rng.integers(mesh.n_vertices)
+    return TriangleMesh(mesh.vertices, triangles)
+
+
+def infinite(mesh, rng):
+    vertices, at = mesh.vertices.copy(), (rng.choice(mesh.triangles.ravel()), rng.integers(3))
+    vertices[at] = rng.choice([np.nan, np.inf, -np.inf])
+    return TriangleMesh(vertices, mesh.triangles)
+
+
+def crowded(mesh, rng):
+    """A third triangle at an edge, or one more at the boundary that may lie over others."""
+    a, b = rng.permutation(np.roll(mesh.triangles[rng.integers(mesh.n_triangles)], 1)[:2])
+    place = mesh.vertices[rng.integers(mesh.n_vertices)] + rng.random(3)
+    triangles = np.r_[mesh.triangles, [[a, b, mesh.n_vertices]]]
+    return TriangleMesh(np.vstack([mesh.vertices, place]), triangles)
+
+
+BREAKS = [flipped, repeated, torn, hanging, flattened, misnamed, infinite, crowded]
+
+
+@pytest.mark.parametrize("broken", BREAKS, ids=lambda function: function.__name__)
+@given(mesh=meshes.any_mesh, scheme=meshes.schemes, seed=meshes.seeds)
+def test_refuses_what_a_check_refuses_and_nothing_else(broken, mesh, scheme, seed):
+    rng = np.random.default_rng(seed)
+    mesh = in_use(meshes.renumbered(broken(mesh, rng), rng))
+    if first_complaint(mesh) is None:
+        assert meshes.is_right(rtin.refine(mesh, [0], scheme))
+    else:
+        assert_refused(mesh, scheme=scheme)
+
+
+def test_a_fault_is_found_in_every_band_of_a_large_mesh(monkeypatch):
+    mesh = meshes.uniform(32)
+    for n_threads in ("1", "2"):
+        monkeypatch.setenv("RTIN_NUM_THREADS", n_threads)
+        for at in (0, 255, 256, 1000, mesh.n_triangles - 1):
+            triangles = mesh.triangles.copy()
+            triangles[at] = triangles[at, ::-1]
+            assert_refused(TriangleMesh(mesh.vertices, triangles))
+            third = np.r_[mesh.triangles, mesh.triangles[at : at + 1, ::-1]]
+            assert_refused(TriangleMesh(mesh.vertices, third))
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e3, 5e6])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_says_when_a_triangle_is_too_small_to_split(scheme, offset):
+    """One triangle, again and again, at a place that float64 has to round."""
+    places = np.array([[0, 0, 1], [1, 0.1, 2], [0.1, 1, 3]]) / 3 + [offset, offset, 0]
+    mesh, error = refined_until_refused(TriangleMesh.from_triangles(places, [[0, 1, 2]]), scheme)
+    validity.check(mesh)
+    assert re.fullmatch("a triangle is too small for its parts to be told apart.*", str(error))
+    named = re.findall(r"\(([^,()]*), ([^,()]*)\)", str(error))
+    corners = [{place[:2] for place in triangle} for triangle in with_places(mesh)]
+    assert {tuple(map(float, place)) for place in named} in corners
+    assert type(error) is ValueError
+
+
+def refined_until_refused(mesh, scheme):
+    for _ in range(200):
+        before = bytes_of(mesh)
+        try:
+            mesh = rtin.refine(mesh, [mesh.n_triangles // 2], scheme)
+        except ValueError as error:
+            assert bytes_of(mesh) == before
+            return mesh, error
+    raise AssertionError("float64 has no end")
+
+
+def test_refuses_more_triangles_than_can_be_numbered(monkeypatch):
+    monkeypatch.setattr("rtin.refinement._MOST_TRIANGLES", 9)
+    assert rtin.refine(SQUARE, [0, 1]).n_triangles == 8
+    with pytest.raises(ValueError, match=r"at most 9 triangles .* would have 32; mark fewer"):
+        rtin.refine(rtin.refine(SQUARE, [0, 1]), range(8))
+
+
+WRONG = {
+    "no such triangle": ({"targets": [0, 2]}, IndexError, "triangles 0 to 1 are there, got 2"),
+    "negative": ({"targets": [0, -1]}, IndexError, "triangles 0 to 1 are there, got -1"),
+    "very large": ({"targets": [2**63]}, IndexError, f"got {2**63}"),
+    "fractions": ({"targets": [0.0, 1.0]}, TypeError, r"wanted, got .* float64 with shape \(2,\)"),
+    "text": ({"targets": ["0"]}, TypeError, "wanted, got an array of <U1"),
+    "nothing": ({"targets": None}, TypeError, "wanted, got an array of object"),
+    "a set": ({"targets": {0, 1}}, TypeError, "wanted, got an array of object"),
+    "a number": ({"targets": 1}, ValueError, r"one dimension, got shape \(\)"),
+    "two dimensions": ({"targets": [[0, 1]]}, ValueError, r"one dimension, got shape \(1, 2\)"),
+    "two-dimensional mask": ({"targets": [[True, False]]}, TypeError, "bool with shape"),
+    "short mask": ({"targets": [True]}, ValueError, "a value for each of 2, got 1"),
+    "long mask": ({"targets": [True] * 3}, ValueError, "a value for each of 2, got 3"),
+    "empty mask": ({"targets": np.zeros(0, bool)}, ValueError, "for each of 2, got 0"),
+    "scheme": ({"scheme": "4T"}, ValueError, "one of 4T-LE, 4T-SS, bisection, got '4T'"),
+    "no scheme": ({"scheme": None}, ValueError, "one of 4T-LE, .* got None"),
+    "no mesh": ({"mesh": SQUARE.vertices}, TypeError, "a TriangleMesh is wanted, got ndarray"),
+    "heights": ({"heights": np.ones((3, 3))}, TypeError, "a Grid is wanted, got ndarray"),
+    "a height": ({"heights": 0.0}, TypeError, "a Grid is wanted, got float"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_says_what_was_wanted_and_what_came(wrong):
+    options, error, message = WRONG[wrong]
+    with pytest.raises(error, match=message) as raised:
+        rtin.refine(**{"mesh": SQUARE, "targets": [0]} | options)
+    assert "\n" not in str(raised.value)

@@ -58,15 +58,28 @@ def pair_edges(triangles, first_vertex, end_vertex, latest, earlier, twins):
 
 
 @jit
+def has_area(ax, ay, bx, by, cx, cy):
+    """Whether a triangle is counter-clockwise by clearly more than rounding can make it.
+
+    Never where ``validity`` sees no area: it wants half of this relative to the longest side, of
+    whose square the extent is at least half.
+    """
+    along_x, along_y, to_x, to_y = bx - ax, by - ay, cx - ax, cy - ay
+    area = along_x * to_y - along_y * to_x
+    extent = along_x * along_x + along_y * along_y + to_x * to_x + to_y * to_y
+    largest = max(abs(ax), abs(ay), abs(bx), abs(by), abs(cx), abs(cy))
+    return area > 1e-11 * extent + 4e-15 * largest * np.sqrt(extent)
+
+
+@jit
 def all_turn_left(vertices, triangles, first, end):
     """Whether some triangles are clearly counter-clockwise, with finite corners."""
     for triangle in range(first, end):
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
-        along_x, along_y = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
-        to_x, to_y = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
-        area = along_x * to_y - along_y * to_x
-        extent = along_x * along_x + along_y * along_y + to_x * to_x + to_y * to_y
         height_sum = vertices[a, 2] + vertices[b, 2] + vertices[c, 2]
-        if not (area > 1e-11 * extent and np.isfinite(height_sum)):
+        if not np.isfinite(height_sum):
+            return False
+        ax, ay, bx, by = vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1]
+        if not has_area(ax, ay, bx, by, vertices[c, 0], vertices[c, 1]):
             return False
     return True

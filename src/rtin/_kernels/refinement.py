@@ -13,7 +13,7 @@ bisect. The midpoint of side s is corner 3 + s of the patterns.
 import numpy as np
 
 from rtin._kernels._jit import jit
-from rtin._kernels.adjacency import next_side
+from rtin._kernels.adjacency import has_area, next_side
 
 # Of a squared length: sides that differ by less are equal. A million times the rounding of lengths,
 # and far too little for a mesh to become worse where the other side of a tie is taken.
@@ -241,7 +241,7 @@ def child_of(x, y, scheme, mark, child):
 def fill_children(triangles, marks, twins, scheme, first, end, vertices, at, children):
     """Write the children of some triangles; the first triangle too small to split, or -1.
 
-    Float64 is too coarse where a child would have no area.
+    Float64 is too coarse where a child would have no area that a check would see.
     """
     # Unsigned, and places side by side: a quarter of the time that looking up vertices takes.
     corners, x, y = np.empty(6, np.uint32), np.empty(6), np.empty(6)
@@ -261,7 +261,7 @@ def fill_children(triangles, marks, twins, scheme, first, end, vertices, at, chi
             x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
         for child in range(N_CHILDREN[mark]):
             a, b, c = child_of(x, y, scheme, mark, child)
-            if not turn(x, y, a, b, c) > 0.0 and too_small < 0:
+            if too_small < 0 and not has_area(x[a], y[a], x[b], y[b], x[c], y[c]):
                 too_small = triangle
             children[at, 0], children[at, 1], children[at, 2] = corners[a], corners[b], corners[c]
             at += 1
