@@ -36,6 +36,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 
+study = typer.Typer(help="Measure what the paper says.", no_args_is_help=True)
+app.add_typer(study, name="study")
+
 _Dem = Annotated[Path, typer.Argument(metavar="DEM", help="Any raster that GDAL reads, or .npy.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print a JSON summary to stdout.")]
 _Band = Annotated[int, typer.Option(min=1, help="Band to read, from 1 on.")]
@@ -318,6 +321,43 @@ def demo(
             "written": [str(path) for path in written],
             "notes": ["heights are doubled in terrain.glb and terrain.html"],
         }
+        _report(summary, as_json)
+
+
+@study.command("propagation")
+def study_propagation(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the pictures.")
+    ] = Path("study-propagation"),
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Runs, each with its own random numbers.")
+    ] = 200,
+    splits: Annotated[int, typer.Option(min=1, help="Refinements in each run.")] = 300,
+    long: Annotated[
+        bool, typer.Option("--long", help="Go on to a million refinements; takes minutes.")
+    ] = False,
+    as_json: _Json = False,
+) -> None:
+    """Measure how far refinement propagates: figure 3 of the paper, and beyond."""
+    with _one_line_errors():
+        from rtin.studies import pictures, propagation
+
+        started = time.perf_counter()
+        pictures.require_places(out)
+        measured = propagation.measure(seeds, splits, long=long, stage=_progress)
+        with _progress(f"drawing {out}"):
+            written = pictures.write_pictures(measured, out)
+        rows = propagation.rows(measured)
+        summary: dict[str, Any] = {
+            "seeds": seeds,
+            "splits": splits,
+            "rows": [row._asdict() for row in rows],
+            "seconds": round(time.perf_counter() - started, 3),
+            "written": [str(path) for path in written],
+        }
+        if not as_json:
+            print(propagation.as_text(rows), end="\n\n")
+            del summary["rows"]
         _report(summary, as_json)
 
 

@@ -1,0 +1,1 @@
+"""Measurements of what the paper says, with its figures beside ours."""
