@@ -376,6 +376,31 @@ def refined(triangles, targets, scheme):
     return list(dict.fromkeys(midpoints)), leaves
 
 
+def walks(triangles, target):
+    """The numbers of the triangles on the three walks of section 2.1.2 from a target.
+
+    Each goes over a side of the target, and then over one longest edge after another.
+    """
+    beside = {}
+    for number, triangle in enumerate(triangles):
+        for edge in edges_of(triangle):
+            beside.setdefault(edge, []).append(number)
+
+    def walk(edge):
+        met, here = [], target
+        while True:
+            others = [number for number in beside[edge] if number != here]
+            if not others or others[0] == target or others[0] in met:
+                return met
+            here = others[0]
+            met.append(here)
+            if edges_of(triangles[here])[0] == edge:
+                return met
+            edge = edges_of(triangles[here])[0]
+
+    return [walk(edge) for edge in edges_of(triangles[target])]
+
+
 def edges_of(triangle, directed=False):
     pairs = pairwise((*triangle, triangle[0]))
     return list(pairs) if directed else [frozenset(pair) for pair in pairs]
