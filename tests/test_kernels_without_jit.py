@@ -17,6 +17,11 @@ CHOSEN = [
     "test_budgets.py::test_is_the_finest_least_mesh_that_fits",
     "test_criteria.py::test_eq_1_at_every_vertex",
     "test_criteria.py::test_measures_a_coarsened_mesh",
+    "test_adjacency.py::test_twins_run_the_other_way_along_the_same_edge",
+    "test_adjacency.py::test_steps_around_a_triangle",
+    "test_refinement.py::test_is_the_papers_algorithm_step_after_step",
+    "test_refine_to.py::test_bisection_from_two_triangles_is_the_least_mesh",
+    "test_refine_to.py::test_keeps_the_promise_from_a_coarsened_mesh",
 ]
 # Notes every kernel that runs, so that one left out of the tests above is found.
 PROGRAM = """
