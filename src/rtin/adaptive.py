@@ -79,7 +79,8 @@ class AdaptiveMesh:
 
         require_mesh(mesh)
         self._heights = as_heights(heights)
-        self._crs, self._tags = mesh.crs, mesh.tags
+        self._crs = mesh.crs
+        self._tags = None if mesh.tags is None else mesh.tags.copy()
         n, m = mesh.n_vertices, mesh.n_triangles
         self._state: Any = State(
             counts=np.array([m, n, 0, 0]),
@@ -89,7 +90,7 @@ class AdaptiveMesh:
             marked=np.empty(m, np.int32),
         )
         set_up(mesh.triangles, twins_of(mesh), self._state)
-        self._mesh: TriangleMesh | None = mesh
+        self._mesh: TriangleMesh | None = None
         self._change = _Change.none(n, m)
 
     # --- what it is now -------------------------------------------------------------------------
@@ -127,7 +128,7 @@ class AdaptiveMesh:
     def levels(self) -> NDArray[np.uint8]:
         """For each triangle, how many bisections it is from the initial mesh, uint8 (m,).
 
-        In the xy plane its area is that of its root divided by 2 ** level.
+        In the xy plane its area is that of its root times 0.5 ** level.
         """
         return self._column("LEVEL").astype(np.uint8)
 
@@ -232,10 +233,10 @@ class AdaptiveMesh:
 
         chosen = as_targets(targets, self.n_triangles)
         n, m = self.n_vertices, self.n_triangles
-        removed, events = coarsen_targets(self._state, chosen)
+        removed, events, merged = coarsen_targets(self._state, chosen)
         self._mesh = None if len(removed) else self._mesh
         self._change = _Change(n, m, np.empty(0, np.int32), removed, events)
-        return self._change.merged()
+        return np.asarray(merged)
 
     def _make_room(self, n_new: int, n_added: int) -> None:
         m, n_slots, _, _ = self._state.counts.tolist()
@@ -291,8 +292,11 @@ class AdaptiveMesh:
         rows = np.flatnonzero(weights[:, 0] != 1.0)
         carried = given[sources[:, 0]]
         carried[rows] *= weights[rows, 0].reshape(shape)
-        for sources_of_rows, shares in zip(sources[rows, 1:].T, weights[rows, 1:].T, strict=True):
-            carried[rows] += shares.reshape(shape) * given[sources_of_rows]
+        for column in range(1, sources.shape[1]):
+            # Only what has a share: zero times infinity is no number.
+            rows = rows[weights[rows, column] > 0.0]
+            shares = weights[rows, column].reshape(shape)
+            carried[rows] += shares * given[sources[rows, column]]
         return carried
 
     def transfer_matrix(self, on: On = "vertices") -> scipy.sparse.csr_array:
@@ -375,23 +379,10 @@ class _Change(NamedTuple):
     def n_before(self, on: On) -> int:
         return self.n_vertices if on == "vertices" else self.n_triangles
 
-    def merged(self) -> _Numbers:
-        """Return the numbers that triangles which came of merging have now, ascending."""
-        from rtin._kernels.adaptive import COPY, MEAN, MIX
-
-        kinds, slots, others = self.events.T
-        changed = _ascending(np.concatenate([slots[kinds != COPY], others[kinds == MIX]]))
-        left = changed[~_is_among(changed, np.sort(others[kinds == MEAN]))]
-        is_move = kinds == COPY
-        movers, places = others[is_move][::-1], slots[is_move][::-1]  # the last was moved first
-        moved = _is_among(left, movers)
-        left[moved] = places[np.searchsorted(movers, left[moved])]
-        return np.sort(left)
-
     def sources_of_triangles(self, n_triangles: int) -> tuple[_Numbers, NDArray[np.float64]]:
         from rtin._kernels.adaptive import MOST_SOURCES, trace
 
-        slots = _ascending(self.events[:, 1:].ravel())
+        slots = np.unique(self.events[:, 1:])
         places, shares, _ = trace(self.events, slots)
         sources = np.repeat(np.arange(n_triangles, dtype=np.int32)[:, np.newaxis], MOST_SOURCES, 1)
         weights = np.zeros((n_triangles, MOST_SOURCES))
@@ -400,18 +391,6 @@ class _Change(NamedTuple):
         sources[slots[kept]] = slots[places[kept]]
         weights[slots[kept]] = shares[kept]
         return sources, weights
-
-
-def _ascending(numbers: _Numbers) -> _Numbers:
-    """Return each number once; by sorting, as NumPy's own ``unique`` hashes, which is slower."""
-    ordered = np.sort(numbers)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
-
-
-def _is_among(numbers: _Numbers, ordered: _Numbers) -> NDArray[np.bool_]:
-    places = np.searchsorted(ordered, numbers)
-    found = np.append(ordered, np.int32(-1))[places] == numbers
-    return np.asarray(found)
 
 
 def _grown(array: NDArray[Any], n_wanted: int) -> NDArray[Any]:

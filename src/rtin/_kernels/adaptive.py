@@ -315,7 +315,8 @@ def join_neighbours(cells, before, halves):
 
 # --- coarsening ---------------------------------------------------------------------------------
 
-TARGET, MERGED = 1, 2  # marks of triangles; of a merged one, scratch has the midpoint's stamp
+# Marks of triangles. MERGED: or written anew by undoing a swap; scratch has the midpoint's stamp.
+TARGET, MERGED = 1, 2
 
 
 @jit
@@ -451,6 +452,8 @@ def undo_swap(state, middle, events, n_events):
     join(cells, next_edge(c_to_m), behind_mp)
     join(cells, previous_edge(c_to_m), behind_pc)
     join(cells, m_to_c, c_to_m)
+    for changed in (slot, middle):
+        cells[changed, MARKS], cells[changed, SCRATCH] = MERGED, nodes[m, STAMP]
     return log(events, n_events, MIX, slot, middle)
 
 
@@ -520,7 +523,8 @@ def add_candidate(nodes, vertex, candidates, n_candidates):
 def coarsen_targets(state, targets):
     """Undo bisections among the targets, as far as one call of refine went.
 
-    Returns removed vertices, and events. Each removal can make those around removable.
+    Returns removed vertices, events, and merged triangles. Each removal can make those around
+    removable.
     """
     n_targets, nodes, cells = targets.size, state.nodes, state.cells
     candidates = np.empty(7 * n_targets, np.int32)
@@ -543,15 +547,30 @@ def coarsen_targets(state, targets):
             n_removed += 1
         for place in range(n_ring):
             n_candidates = add_candidate(nodes, ring[place], candidates, n_candidates)
-    for target in targets:
-        cells[target, MARKS] = 0
+    merged = take_merged(cells, targets)
     n_events = close_gaps(state, events, n_events)
-    return removed[:n_removed], events[:n_events]
+    for i in range(merged.size):
+        if merged[i] >= state.counts[N_TRIANGLES]:
+            merged[i] = cells[merged[i], SCRATCH]
+    merged.sort()
+    return removed[:n_removed], events[:n_events], merged
+
+
+@jit
+def take_merged(cells, targets):
+    """The merged ones among the targets, and no marks any more."""
+    merged, n_merged = np.empty(targets.size, np.int32), 0
+    for target in targets:
+        if cells[target, MARKS] == MERGED:
+            merged[n_merged] = target
+            n_merged += 1
+        cells[target, MARKS] = 0
+    return merged[:n_merged].copy()
 
 
 @jit
 def close_gaps(state, events, n_events):
-    """Move the last triangles into the slots that merging has freed."""
+    """Move the last triangles into slots that merging has freed; scratch says where they went."""
     counts, nodes, cells = state.counts, state.nodes, state.cells
     freed = np.empty(n_events, np.int32)
     n_freed = 0
@@ -572,7 +591,7 @@ def close_gaps(state, events, n_events):
         for side in range(3):
             join(cells, 3 * np.int64(slot) + side, cells[mover, TWINS + side])
         cells[slot, ROOT], cells[slot, LEVEL] = cells[mover, ROOT], cells[mover, LEVEL]
-        cells[slot, MARKS] = 0
+        cells[slot, MARKS], cells[mover, SCRATCH] = 0, slot
         n_events = log(events, n_events, COPY, slot, mover)
     counts[N_TRIANGLES] = end
     return n_events
