@@ -348,6 +348,17 @@ def refined(triangles, targets, scheme):
 
     ``targets`` are numbers of triangles.
     """
+    marked = marked_edges(triangles, [triangles[target] for target in targets], scheme)
+    midpoints = [
+        middle(*edge) for t in triangles for edge in edges_of(t, directed=True)
+        if frozenset(edge) in marked
+    ]  # fmt: skip
+    leaves = [part for t in triangles for part in pieces(t, marked, scheme)]  # step 5
+    return list(dict.fromkeys(midpoints)), leaves
+
+
+def marked_edges(triangles, targets, scheme):
+    """Steps 1 to 4: the edges to bisect."""
     beside = {}  # edge: the triangles that have it
     for triangle in triangles:
         for edge in edges_of(triangle):
@@ -363,17 +374,12 @@ def refined(triangles, targets, scheme):
 
     marked = set()
     for target in targets:  # step 1
-        marked.update(edges_of(triangles[target])[: 1 if scheme == "bisection" else 3])
+        marked.update(edges_of(target)[: 1 if scheme == "bisection" else 3])
     for triangle in [t for t in triangles if not conforms(t)]:  # steps 2 and 3
         while triangle is not None and not conforms(triangle):  # step 4
             marked.add(edges_of(triangle)[0])
             triangle = neighbour(triangle)
-    midpoints = [
-        middle(*edge) for t in triangles for edge in edges_of(t, directed=True)
-        if frozenset(edge) in marked
-    ]  # fmt: skip
-    leaves = [part for t in triangles for part in pieces(t, marked, scheme)]  # step 5
-    return list(dict.fromkeys(midpoints)), leaves
+    return marked
 
 
 def walks(triangles, target):
@@ -451,3 +457,123 @@ def length_squared(a, b):
 def along(a, b):
     """How far b is from a in the direction one radian north of east."""
     return float(b[0] - a[0]) * np.cos(1.0) + float(b[1] - a[1]) * np.sin(1.0)
+
+
+# --- refinement and coarsening in turn ----------------------------------------------------------
+
+
+class Piece:
+    """A triangle of some time: one of the mesh, or bisected into two halves."""
+
+    def __init__(self, corners):
+        self.corners = corners
+        self.halves = []
+        self.undone = None  # the call of refine of which it was split, and has just been merged
+        # Only where 4T-SS has split it: besides the outer quarters, the two across. The inner
+        # quarters, which they lie across, come back when one of the sides' midpoints goes.
+        self.across = []
+        self.whole = None  # of a half of that: what it is a half of
+        self.inner = self.outer = None  # and its quarters
+
+    def leaves(self):
+        """The triangles of the mesh in it."""
+        parts = self.halves
+        if self.across:
+            parts = [half.outer for half in self.halves] + self.across
+        return [leaf for part in parts for leaf in part.leaves()] if parts else [self]
+
+
+class History:
+    """A mesh as a set of triangles, and how each of them came to be."""
+
+    def __init__(self, triangles):
+        self.roots = [Piece(triangle) for triangle in triangles]
+        self.bisected = {}  # midpoint: the pieces that it bisects, on one side of it or on both
+        self.calls = {}  # midpoint: which call of refine has made it
+        self.n_calls = 0
+
+    def leaves(self):
+        return [leaf for root in self.roots for leaf in root.leaves()]
+
+    def triangles(self):
+        return {leaf.corners for leaf in self.leaves()}
+
+    # - refine -
+
+    def refine(self, targets, scheme):
+        """``targets`` are triangles."""
+        self.n_calls += 1
+        leaves = self.leaves()
+        marked = marked_edges([leaf.corners for leaf in leaves], targets, scheme)
+        for leaf in leaves:
+            if marked.intersection(edges_of(leaf.corners)):
+                self.split(leaf, marked, scheme)
+
+    def split(self, leaf, marked, scheme):
+        a, b, c = leaf.corners
+        m, p, q = middle(a, b), middle(b, c), middle(c, a)
+        one, other = self.bisect(leaf, (a, b, c))
+        if frozenset((c, a)) in marked:
+            one.inner, one.outer = self.bisect(one, (c, a, m))
+        if frozenset((b, c)) in marked:
+            other.outer, other.inner = self.bisect(other, (b, c, m))
+        if scheme == "4T-SS" and one.inner and other.inner:
+            leaf.across = [Piece((q, p, c)), Piece((p, q, m))]
+            one.whole = other.whole = leaf
+
+    def bisect(self, piece, corners):
+        a, b, c = corners
+        m = middle(a, b)
+        piece.halves = [Piece(with_longest_first(half)) for half in [(c, a, m), (b, c, m)]]
+        self.bisected.setdefault(m, []).append(piece)
+        self.calls[m] = self.n_calls
+        return piece.halves
+
+    # - coarsen -
+
+    def coarsen(self, targets):
+        """``targets`` are triangles. Midpoints go as long as one can, in any order."""
+        leaves = self.leaves()
+        around = {}
+        for leaf in leaves:
+            leaf.undone = None
+            for corner in leaf.corners:
+                around.setdefault(corner, set()).add(leaf)
+        targets = {leaf for leaf in leaves if leaf.corners in set(targets)}
+
+        def can_go(vertex):
+            return around[vertex] == self.made_by(vertex) and all(
+                leaf in targets or leaf.undone == self.calls[vertex] for leaf in around[vertex]
+            )
+
+        def remove(vertex):
+            old, new = around.pop(vertex), self.remove(vertex)
+            for leaf in old:
+                for corner in set(leaf.corners) - {vertex}:
+                    around[corner].discard(leaf)
+            for leaf in new:
+                leaf.undone = self.calls[vertex]
+                for corner in leaf.corners:
+                    around[corner].add(leaf)
+
+        while going := next(filter(can_go, self.bisected), None):
+            remove(going)
+
+    def made_by(self, vertex):
+        """The triangles that came of bisecting its edge (pieces that are no longer whole too)."""
+        made = set()
+        for piece in self.bisected[vertex]:
+            is_crossed = piece.whole is not None and piece.whole.across
+            made.update([piece.outer, *piece.whole.across] if is_crossed else piece.halves)
+        return made
+
+    def remove(self, vertex):
+        """Undo its bisection: the triangles that are new."""
+        new = []
+        for piece in self.bisected.pop(vertex):
+            if piece.whole is not None and piece.whole.across:
+                new += [half.inner for half in piece.whole.halves if half is not piece]
+                piece.whole.across = []
+            piece.halves, piece.inner, piece.outer, piece.whole = [], None, None, None
+            new.append(piece)
+        return new
