@@ -103,7 +103,7 @@ def test_a_uniform_mesh_splits_five_more_away_from_the_border_and_three_along_it
 
 @given(meshes.seeds, st.integers(0, 60))
 def test_right_triangles_keep_the_bound_on_walks(seed, n_times):
-    """M2 ≤ 2 log₂(longest edge / own longest edge) + 2, as edges grow by √2 from one to the next."""
+    """M2 ≤ 2 log₂(longest edge / own longest edge) + 2: edges grow by √2 from one to the next."""
     mesh = refined_at_random(meshes.uniform(2), np.random.default_rng(seed), n_times)
     ends = mesh.vertices[mesh.triangles[:, :2], :2]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

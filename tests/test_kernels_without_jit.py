@@ -17,6 +17,7 @@ CHOSEN = [
     "test_budgets.py::test_is_the_finest_least_mesh_that_fits",
     "test_criteria.py::test_eq_1_at_every_vertex",
     "test_criteria.py::test_measures_a_coarsened_mesh",
+    "test_conformity.py::test_is_the_walks_of_the_paper",
     "test_adjacency.py::test_twins_run_the_other_way_along_the_same_edge",
     "test_adjacency.py::test_steps_around_a_triangle",
     "test_refinement.py::test_is_the_papers_algorithm_step_after_step",

@@ -220,10 +220,12 @@ def _draw_long_runs(figure: Figure, study: Study) -> None:
     for ax, name in zip(axes, ("M1", "M2"), strict=True):
         key, colour = name.lower(), _COLOURS[name]
         _draw_band(ax, long.rtin, key, colour, f"uniform mesh, {len(long.rtin.m1)} seeds")
-        _draw_band(ax, long.tin, key, _GREY, f"Delaunay mesh, {len(long.tin.m1)} seeds")
+        _draw_band(
+            ax, long.tin, key, _GREY, f"Delaunay mesh of 1000 points, {len(long.tin.m1)} seeds"
+        )
         last = getattr(long.longest, key)[:, -1]
         ax.plot([long.longest.splits[-1]], [last.mean()], "o", ms=4.0, color=colour,
-                label=f"{len(last)} seeds: {last.mean():.3f}")  # fmt: skip
+                label=f"uniform mesh, {len(last)} seeds: {last.mean():.3f}")  # fmt: skip
         paper = getattr(PAPER["refined"], key)
         ax.axhline(paper, color=_INK, lw=0.8, ls=(0, (5, 3)), label=f"the paper's {paper}")
         ax.set(xscale="log", xlabel="refinements", ylabel=f"mean {name} over the mesh")

@@ -69,7 +69,7 @@ _SMALL_TIN = 10_000  # points
 _LONG_TINS = {100: 200, 1000: 50, 10_000: 20, 100_000: 10, 1_000_000: 3}  # points: seeds
 _LONG_CHECKPOINTS = (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
 _LONG_SEEDS, _LONGEST, _LONGEST_SEEDS = 20, 1_000_000, 3
-_REFINED_TIN = 1000  # points
+_REFINED_TIN, _INSIDE_OF = 1000, 100_000  # points
 _N_SEEN = 30  # times that each of many runs is looked at
 
 
@@ -193,8 +193,7 @@ class Evolution:
     @property
     def last(self) -> tuple[Means, Means]:
         """Mean and spread over the seeds in the end; the spread is NaN for one seed."""
-        last = np.column_stack([self.m1[:, -1], self.m2[:, -1]])
-        return Means(*last.mean(axis=0).tolist()), Means(*_spread(last).tolist())
+        return _mean_and_spread(np.column_stack([self.m1[:, -1], self.m2[:, -1]]))
 
 
 def evolution(initial: MeshOfSeed, checkpoints: ArrayLike, seeds: ArrayLike) -> Evolution:
@@ -274,6 +273,8 @@ class LongRuns:
         Delaunay meshes of 1000 points, refined 10⁵ times.
     tins : dict of int to Evolution
         Delaunay meshes of so many points, not refined.
+    tins_inside : ndarray of float64, shape (n_seeds, 2)
+        Means of M1 and M2 of those of 10⁵ points, without the triangles near the border.
     uniform_tin : list of Means
         A Delaunay mesh of 10⁴ points after 0, 1, 2, … refinements of all its triangles.
     """
@@ -282,6 +283,7 @@ class LongRuns:
     longest: Evolution
     tin: Evolution
     tins: dict[int, Evolution]
+    tins_inside: _Floats
     uniform_tin: list[Means]
 
 
@@ -376,9 +378,18 @@ def _long_runs(stage: Stage) -> LongRuns:
     for n_points, n_seeds in _LONG_TINS.items():
         with stage(f"measuring Delaunay meshes of {n_points} points"):
             tins[n_points] = evolution(partial(random_tin, n_points), [0], np.arange(n_seeds))
+    with stage("measuring Delaunay meshes away from their border"):
+        seeds = range(_LONG_TINS[_INSIDE_OF])
+        inside = np.array([_means_inside(random_tin(_INSIDE_OF, seed)) for seed in seeds])
     with stage("refining all triangles of a Delaunay mesh"):
         uniform_tin = _refined_uniformly(random_tin(_SMALL_TIN, 0), 5)
-    return LongRuns(rtin, longest, tin, tins, uniform_tin)
+    return LongRuns(rtin, longest, tin, tins, inside, uniform_tin)
+
+
+def _means_inside(mesh: TriangleMesh) -> Means:
+    """Return the means over the triangles whose centres lie in the middle 80 % of both sides."""
+    centres = mesh.vertices[mesh.triangles, :2].mean(axis=1)
+    return propagation_means(propagation(mesh, (np.abs(centres - 0.5) < 0.4).all(axis=1)))
 
 
 def _refined_uniformly(mesh: TriangleMesh, n_times: int) -> list[Means]:
@@ -394,10 +405,10 @@ def _spaced(n_splits: int, n_most: int) -> _Counts:
     return np.linspace(0, n_splits, min(n_splits, n_most) + 1).round().astype(np.int64)
 
 
-def _spread(values: _Floats) -> _Floats:
-    if len(values) < 2:
-        return np.full(values.shape[1:], np.nan)
-    return np.asarray(values.std(axis=0, ddof=1))
+def _mean_and_spread(values: _Floats) -> tuple[Means, Means]:
+    """Return the mean and the standard deviation of each of the two columns."""
+    spread = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(2, np.nan)
+    return Means(*values.mean(axis=0).tolist()), Means(*spread.tolist())
 
 
 def _added(one: _Counts, other: _Counts) -> _Counts:
@@ -435,12 +446,14 @@ def rows(study: Study) -> list[Row]:
                     (study.long.longest, _LONGEST)]:  # fmt: skip
         table += _pair(f"after {_number(at)} splits, {len(run.m1)} seeds", None, *_at(run, at))
     table += _rows_of_tins(study.long.tins)
+    name = f"Delaunay mesh of {_number(_INSIDE_OF)} points, away from the border"
+    table += _pair(name, None, *_mean_and_spread(study.long.tins_inside))
     name = f"Delaunay mesh of {_number(_REFINED_TIN)} points"
     for at in (1000, 10_000, 100_000):
         table += _pair(f"{name}, after {_number(at)} splits", None, *_at(study.long.tin, at))
     name = f"Delaunay mesh of {_number(_SMALL_TIN)} points"
     for times, means in enumerate(study.long.uniform_tin):
-        table += _pair(f"{name}, all triangles split {times} times", None, means, none)
+        table += _pair(f"{name}, {times} uniform refinements", None, means, none)
     return table
 
 
@@ -454,8 +467,7 @@ def _rows_of_tins(tins: dict[int, Evolution]) -> list[Row]:
 
 def _at(run: Evolution, n_splits: int) -> tuple[Means, Means]:
     i = int(np.flatnonzero(run.splits == n_splits)[0])
-    values = np.column_stack([run.m1[:, i], run.m2[:, i]])
-    return Means(*values.mean(axis=0).tolist()), Means(*_spread(values).tolist())
+    return _mean_and_spread(np.column_stack([run.m1[:, i], run.m2[:, i]]))
 
 
 def _pair(name: str, paper: Means | None, ours: Means, spread: Means) -> list[Row]:
