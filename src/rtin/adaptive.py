@@ -125,12 +125,12 @@ class AdaptiveMesh:
         return self._column("ROOT")
 
     @property
-    def levels(self) -> NDArray[np.uint8]:
-        """For each triangle, how many bisections it is from the initial mesh, uint8 (m,).
+    def levels(self) -> _Numbers:
+        """For each triangle, how many bisections it is from the initial mesh, int32 (m,).
 
         In the xy plane its area is that of its root times 0.5 ** level.
         """
-        return self._column("LEVEL").astype(np.uint8)
+        return self._column("LEVEL")
 
     @property
     def midpoint_parents(self) -> _Numbers:

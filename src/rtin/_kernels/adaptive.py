@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtin._kernels._jit import jit
-from rtin._kernels.adjacency import next_edge, next_side, previous_edge
+from rtin._kernels.adjacency import has_area, next_edge, next_side, previous_edge
 from rtin._kernels.refinement import (
     ALL_SIDES,
     DEPTH,
@@ -22,7 +22,6 @@ from rtin._kernels.refinement import (
     rotated,
     set_midpoint,
     side_to_bisect,
-    turn,
 )
 
 # Columns of ``cells``, after the three corners: the twins of the three sides; the triangle of the
@@ -201,14 +200,14 @@ def gather(vertices, corners, x, y):
 
 @jit
 def first_too_small(state, n_marked, pattern, corners):
-    """The first marked triangle of which a child would have no area in float64, or -1."""
+    """The first marked triangle too small to split, as ``fill_children`` sees it, or -1."""
     x, y = np.empty(6), np.empty(6)
     for i in range(n_marked):
         mark = state.cells[state.marked[i], MARKS]
         gather(state.vertices, corners[i], x, y)
         for child in range(N_CHILDREN[mark]):
             a, b, c = child_of(x, y, pattern, mark, child)
-            if not turn(x, y, a, b, c) > 0.0:
+            if not has_area(x[a], y[a], x[b], y[b], x[c], y[c]):
                 return state.marked[i]
     return -1
 
