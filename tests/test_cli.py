@@ -262,7 +262,9 @@ def test_info_knows_a_solid(dem, tmp_path):
     assert summary["complaints"] == []
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["coarsen", "--help"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["coarsen", "--help"], ["study", "propagation", "-h"]]
+)
 def test_help_and_version_do_not_wait_for_heavy_imports(arguments):
     code = (
         "import sys; from rtin.cli import app\n"

@@ -432,19 +432,23 @@ class Row(NamedTuple):
 
 def rows(study: Study) -> list[Row]:
     """Return the figures of a study, one a row."""
-    n_splits, n_seeds = int(study.runs.splits[-1]), len(study.runs.m1)
+    n_splits = int(study.runs.splits[-1])
     none = Means(np.nan, np.nan)
     uniform = f"uniform mesh of {study.runs.n_triangles[0, 0]} triangles"
     table = [
         *_pair(uniform, None, study.uniform, none),
         *_pair(f"{uniform}, off the border", PAPER["uniform"], study.uniform_inside, none),
-        *_pair(f"after {n_splits} splits, {n_seeds} seeds", PAPER["refined"], *study.runs.last),
+        *_pair(
+            f"after {_number(n_splits)} splits, {_seeds(study.runs)}",
+            PAPER["refined"],
+            *study.runs.last,
+        ),
     ]
     if study.long is None:
         return [*table, *_rows_of_tins({_SMALL_TIN: study.tins})]
     for run, at in [(study.long.rtin, 1000), (study.long.rtin, 10_000), (study.long.rtin, 100_000),
                     (study.long.longest, _LONGEST)]:  # fmt: skip
-        table += _pair(f"after {_number(at)} splits, {len(run.m1)} seeds", None, *_at(run, at))
+        table += _pair(f"after {_number(at)} splits, {_seeds(run)}", None, *_at(run, at))
     table += _rows_of_tins(study.long.tins)
     name = f"Delaunay mesh of {_number(_INSIDE_OF)} points, away from the border"
     table += _pair(name, None, *_mean_and_spread(study.long.tins_inside))
@@ -460,7 +464,7 @@ def rows(study: Study) -> list[Row]:
 def _rows_of_tins(tins: dict[int, Evolution]) -> list[Row]:
     table = []
     for n_points, run in tins.items():
-        name = f"Delaunay mesh of {_number(n_points)} points, {len(run.m1)} seeds"
+        name = f"Delaunay mesh of {_number(n_points)} points, {_seeds(run)}"
         table += _pair(name, PAPER["any mesh"], *run.last)
     return table
 
@@ -479,6 +483,10 @@ def _pair(name: str, paper: Means | None, ours: Means, spread: Means) -> list[Ro
 
 def _or_none(value: float) -> float | None:
     return None if np.isnan(value) else value
+
+
+def _seeds(run: Evolution) -> str:
+    return f"{len(run.m1)} seed{'s' if len(run.m1) > 1 else ''}"
 
 
 def _number(value: int) -> str:
