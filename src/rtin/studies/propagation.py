@@ -457,7 +457,7 @@ def rows(study: Study) -> list[Row]:
         table += _pair(f"{name}, after {_number(at)} splits", None, *_at(study.long.tin, at))
     name = f"Delaunay mesh of {_number(_SMALL_TIN)} points"
     for times, means in enumerate(study.long.uniform_tin):
-        table += _pair(f"{name}, {times} uniform refinements", None, means, none)
+        table += _pair(f"{name}, uniformly refined {times} ×", None, means, none)
     return table
 
 
