@@ -181,26 +181,26 @@ class AdaptiveMesh:
         chosen = as_targets(targets, self.n_triangles)
         n, m = self.n_vertices, self.n_triangles
         n_marked, n_new, n_added = mark_targets(self._state, chosen, split.sides)
-        if not has_room(self._state, n_new, n_added):
-            try:
+        try:
+            if not has_room(self._state, n_new, n_added):
                 self._make_room(n_new, n_added)
-            except (ValueError, MemoryError):
-                unmark(self._state, n_marked)
-                raise
-        marked = self._state.marked[:n_marked].copy()
+            new = np.concatenate([self._state.marked[:n_marked], np.arange(m, m + n_added)])
+        except BaseException:
+            unmark(self._state, n_marked)
+            raise
         too_small, created, events = split_marked(
             self._state, n_marked, n_new, n_added, split.pattern
         )
         if too_small >= 0:
             corners = self._state.cells[too_small, :3]
             raise too_small_to_split(self._state.vertices, corners)
+        self._mesh = None
+        self._change = _Change(n, m, created, np.empty(0, np.int32), events)
         if self._heights is not None:
             raised = self._state.vertices[created]
             lift(raised, self._heights)
             self._state.vertices[created] = raised
-        self._mesh = None
-        self._change = _Change(n, m, created, np.empty(0, np.int32), events)
-        return np.concatenate([marked, np.arange(m, m + n_added, dtype=np.int32)])
+        return new.astype(np.int32)
 
     def coarsen(self, targets: ArrayLike) -> _Numbers:
         """Undo bisections whose triangles are all targets, where the mesh stays conforming.

@@ -199,9 +199,9 @@ def gather(vertices, corners, x, y):
 
 
 @jit
-def first_too_small(state, n_marked, pattern, corners):
+def first_too_small(state, n_marked, pattern, corners, work):
     """The first marked triangle too small to split, as ``fill_children`` sees it, or -1."""
-    x, y = np.empty(6), np.empty(6)
+    x, y, _ = work
     for i in range(n_marked):
         mark = state.cells[state.marked[i], MARKS]
         gather(state.vertices, corners[i], x, y)
@@ -269,17 +269,17 @@ def split_marked(state, n_marked, n_new, n_added, pattern):
     corners = np.empty((n_marked, 6), np.uint32)
     created = np.empty(n_new, np.int32)
     events = np.empty((n_added, 3), np.int32)
-    counts[LATEST] += 1
+    before = np.empty((n_marked, 4), np.int32)  # twins, and marks
+    halves = np.empty((n_marked, 3, 2), np.int32)
+    work = np.empty(6), np.empty(6), np.empty((6, 6), np.int64)
+    counts[LATEST] += 1  # from here on nothing can fail for want of memory
     number_midpoints(state, n_marked, corners, created)
-    too_small = first_too_small(state, n_marked, pattern, corners)
+    too_small = first_too_small(state, n_marked, pattern, corners, work)
     if too_small >= 0:
         for vertex in created[::-1]:
             free_vertex(counts, state.nodes, vertex)
         unmark(state, n_marked)
         return too_small, created, events
-    before = np.empty((n_marked, 4), np.int32)  # twins, and marks
-    halves = np.empty((n_marked, 3, 2), np.int32)
-    work = np.empty(6), np.empty(6), np.empty((6, 6), np.int64)
     n_events = 0
     for i in range(n_marked):
         slot = state.marked[i]
@@ -529,6 +529,7 @@ def coarsen_targets(state, targets):
     candidates = np.empty(7 * n_targets, np.int32)
     removed = np.empty(n_targets, np.int32)
     events = np.empty((4 * n_targets, 3), np.int32)
+    merged, freed = np.empty(n_targets, np.int32), np.empty(n_targets, np.int32)
     star, ring = np.empty(LARGEST_STAR, np.int64), np.empty(LARGEST_STAR + 1, np.int64)
     n_candidates, n_removed, n_events = 0, 0, 0
     for i in range(n_targets - 1, -1, -1):
@@ -546,8 +547,8 @@ def coarsen_targets(state, targets):
             n_removed += 1
         for place in range(n_ring):
             n_candidates = add_candidate(nodes, ring[place], candidates, n_candidates)
-    merged = take_merged(cells, targets)
-    n_events = close_gaps(state, events, n_events)
+    merged = merged[: take_merged(cells, targets, merged)]
+    n_events = close_gaps(state, freed, events, n_events)
     for i in range(merged.size):
         if merged[i] >= state.counts[N_TRIANGLES]:
             merged[i] = cells[merged[i], SCRATCH]
@@ -556,22 +557,24 @@ def coarsen_targets(state, targets):
 
 
 @jit
-def take_merged(cells, targets):
-    """The merged ones among the targets, and no marks any more."""
-    merged, n_merged = np.empty(targets.size, np.int32), 0
+def take_merged(cells, targets, merged):
+    """List the merged ones among the targets, and take all marks away; how many there are."""
+    n_merged = 0
     for target in targets:
         if cells[target, MARKS] == MERGED:
             merged[n_merged] = target
             n_merged += 1
         cells[target, MARKS] = 0
-    return merged[:n_merged].copy()
+    return n_merged
 
 
 @jit
-def close_gaps(state, events, n_events):
-    """Move the last triangles into slots that merging has freed; scratch says where they went."""
+def close_gaps(state, freed, events, n_events):
+    """Move the last triangles into slots that merging has freed; scratch says where they went.
+
+    ``freed`` has room for their numbers. Returns the number of events.
+    """
     counts, nodes, cells = state.counts, state.nodes, state.cells
-    freed = np.empty(n_events, np.int32)
     n_freed = 0
     for i in range(n_events):
         if events[i, 0] == MEAN:
