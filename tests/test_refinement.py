@@ -827,6 +827,24 @@ def refined_until_refused(mesh, scheme):
     raise AssertionError("float64 has no end")
 
 
+@pytest.mark.parametrize("between", [0, 3000])
+def test_of_two_triangles_that_are_too_small_the_first_is_named(between):
+    """In one band of triangles, and in two."""
+    places = np.array([[0, 0, 1], [1, 0.1, 2], [0.1, 1, 3]]) / 3 + [5e6, 5e6, 0]
+    mesh, _ = refined_until_refused(TriangleMesh.from_triangles(places, [[0, 1, 2]]), "4T-LE")
+    target = mesh.n_triangles // 2
+    for turn, sign in ((1, ""), (-1, "-")):  # half a turn rounds nothing
+        one, other = mesh.vertices * [turn, turn, 1], mesh.vertices * [-turn, -turn, 1]
+        far = meshes.strip(max(between, 1), np.random.default_rng(0))
+        starts = np.cumsum([0, len(one), len(far.vertices)])
+        both = TriangleMesh(
+            np.vstack([one, far.vertices, other]),
+            np.vstack([mesh.triangles, far.triangles + starts[1], mesh.triangles + starts[2]]),
+        )
+        with pytest.raises(ValueError, match=rf"told apart in float64: \({sign}5\d+\.\d+, {sign}5"):
+            rtin.refine(both, [target, mesh.n_triangles + far.n_triangles + target])
+
+
 def test_refuses_more_triangles_than_can_be_numbered(monkeypatch):
     monkeypatch.setattr("rtin.refinement._MOST_TRIANGLES", 9)
     assert rtin.refine(SQUARE, [0, 1]).n_triangles == 8
