@@ -17,6 +17,7 @@ import naive
 import rtin
 import terrains
 from rtin import AdaptiveMesh, TriangleMesh, validity
+from rtin._kernels import adaptive as kernels
 
 SCHEMES = meshes.SCHEMES
 SQUARE = TriangleMesh([[0, 0, 0], [2, 0, 1], [2, 2, 4], [0, 2, 9]], [[0, 2, 3], [2, 0, 1]])
@@ -669,7 +670,7 @@ def test_wants_values_on_vertices_or_triangles(on):
 
 def test_says_how_to_get_scipy_for_a_matrix(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
-    with pytest.raises(ImportError, match=r"a matrix needs SciPy.*pip install scipy"):
+    with pytest.raises(ImportError, match=r"a matrix needs SciPy.*pip install \"rtin\[fem\]\""):
         AdaptiveMesh(SQUARE).transfer_matrix()
 
 
@@ -839,12 +840,12 @@ def test_copies_the_mesh_it_is_given():
 @pytest.mark.parametrize(
     ("targets", "error", "message"),
     [
-        ([0, 99], IndexError, "triangles 0 to 5.*, got 99"),
-        ([6], IndexError, "triangles 0 to 5.*, got 6"),
-        ([-1], IndexError, "triangles 0 to 5.*, got -1"),
+        ([0, 99], IndexError, "there are 6 triangles.*; got 99"),
+        ([6], IndexError, "there are 6 triangles.*; got 6"),
+        ([-1], IndexError, "there are 6 triangles.*; got -1"),
         ([0.0], TypeError, "numbers of triangles or a boolean for each.*got an array of float64"),
         ("all", TypeError, "numbers of triangles or a boolean for each.*got an array"),
-        (None, TypeError, "numbers of triangles or a boolean for each.*got an array of object"),
+        (None, TypeError, "numbers of triangles or a boolean for each.*got NoneType"),
         ([[0, 1]], ValueError, r"must be in one dimension, got shape \(1, 2\)"),
         ([True] * 5, ValueError, "a mask of .* must have a value for each of 6.*, got 5"),
         ([True] * 7, ValueError, "a mask of .* must have a value for each of 6.*, got 7"),
@@ -943,7 +944,7 @@ def test_a_triangle_too_small_to_split_changes_nothing(scheme, has_free_slots):
     for _ in range(3):
         with pytest.raises(
             ValueError,
-            match="a triangle is too small for its parts to be told apart in float64: "
+            match="a triangle is too small or too thin to be split in float64: "
             r"\(1099511627776[0-9.]*, .*; refine less there, or move the mesh closer to the origin",
         ):
             adaptive.refine(everything(adaptive), scheme)
@@ -1004,3 +1005,86 @@ def test_the_docstrings_examples_run():
     module = importlib.import_module("rtin.adaptive")
     found = doctest.testmod(module, raise_on_error=True)
     assert found.attempted > 4
+
+
+# --- when something fails in the middle ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", ["mark_targets", "split_marked", "coarsen_targets"])
+@pytest.mark.parametrize("comes", ["before", "after"])
+def test_an_interrupt_leaves_it_whole(monkeypatch, kernel, comes):
+    """Ctrl-C takes effect before a kernel or when it returns; its result is lost then."""
+    adaptive = AdaptiveMesh(SQUARE)
+    adaptive.refine([0, 1])
+    new = adaptive.refine([0, 5])
+    before = bytes_of(adaptive)
+    original = getattr(kernels, kernel)
+
+    def interrupted(*arguments):
+        if comes == "after":
+            original(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kernels, kernel, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        adaptive.coarsen(new) if kernel == "coarsen_targets" else adaptive.refine([3])
+    monkeypatch.undo()
+    assert adaptive.mesh.n_triangles == adaptive.n_triangles
+    validity.check(adaptive.mesh)
+    if comes == "before" or kernel == "mark_targets":
+        assert bytes_of(adaptive) == before
+        adaptive.transfer(np.zeros(adaptive._change.n_vertices))
+    else:
+        with pytest.raises(RuntimeError, match="the last change was interrupted"):
+            adaptive.transfer(np.zeros(adaptive.n_vertices))
+        with pytest.raises(RuntimeError, match="the last change was interrupted"):
+            adaptive.parents  # noqa: B018
+    n, mesh = adaptive.n_triangles, adaptive.mesh
+    again = adaptive.refine([3])
+    assert adaptive.n_triangles > n
+    adaptive.coarsen(again)
+    assert adaptive.mesh.triangles.tobytes() == mesh.triangles.tobytes()
+
+
+def test_a_lack_of_memory_in_a_kernel_changes_nothing(monkeypatch):
+    adaptive = walked(SQUARE, 1, 3)
+    before = bytes_of(adaptive)
+
+    def out_of_memory(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(kernels, "split_marked", out_of_memory)
+    with pytest.raises(MemoryError):
+        adaptive.refine([0])
+    monkeypatch.undo()
+    assert bytes_of(adaptive) == before
+    assert len(adaptive.refine([0])) >= 4
+
+
+def test_counts_calls_anew_before_they_get_too_many():
+    adaptive, twin = AdaptiveMesh(SQUARE), AdaptiveMesh(SQUARE)
+    for mesh in (adaptive, twin):
+        mesh.refine([0])
+        mesh.refine([1, 2])
+    adaptive._state.counts[kernels.LATEST] = np.iinfo(np.int32).max
+    for mesh in (adaptive, twin):
+        new = mesh.refine([3])
+        mesh.coarsen(new)
+        mesh.coarsen(range(mesh.n_triangles))
+    assert adaptive._state.counts[kernels.LATEST] < 10
+    assert bytes_of(adaptive) == bytes_of(twin)
+
+
+def test_a_copy_goes_its_own_way():
+    adaptive = walked(SQUARE, 1, 3)
+    before = bytes_of(adaptive)
+    other = copy.copy(adaptive)
+    other.refine(range(other.n_triangles))
+    assert bytes_of(adaptive) == before
+    assert bytes_of(copy.deepcopy(adaptive)) == before
+
+
+def test_values_that_are_no_numbers_are_refused():
+    adaptive = AdaptiveMesh(SQUARE)
+    with pytest.raises(TypeError, match="values must be numbers, got an array of object"):
+        adaptive.transfer([None] * 4)

@@ -8,6 +8,9 @@ that bisection's triangles are left around it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import deepcopy
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -42,6 +45,8 @@ class AdaptiveMesh:
     free. A split one's first child (in the table of ``refine``) takes its number, the others are
     appended; a merged one takes the number of its first child. Vertices keep their order; those
     that are removed leave it, and new ones may come before older ones.
+
+    One thread at a time may use it.
 
     Parameters
     ----------
@@ -91,7 +96,7 @@ class AdaptiveMesh:
         )
         set_up(mesh.triangles, twins_of(mesh), self._state)
         self._mesh: TriangleMesh | None = None
-        self._change = _Change.none(n, m)
+        self._change: _Change | None = _Change.none(n, m)
 
     # --- what it is now -------------------------------------------------------------------------
 
@@ -146,10 +151,14 @@ class AdaptiveMesh:
     def parents(self) -> _Numbers:
         """For each triangle, the one it lay in before the last change, int32 (m,).
 
-        After ``coarsen``, of those that were merged the one whose number the parent has taken.
+        After ``coarsen``, of those that were merged the one whose number the parent has taken (or
+        one of two that it lay across, where just a part of 4T-SS was undone).
         """
+        from rtin._kernels.adaptive import COPY
+
         parents = np.arange(self.n_triangles, dtype=np.int32)
-        copies = self._change.events[self._change.events[:, 0] == 0]
+        events = self._last_change().events
+        copies = events[events[:, 0] == COPY]
         parents[copies[:, 1]] = copies[:, 2]
         return parents
 
@@ -175,32 +184,36 @@ class AdaptiveMesh:
         IndexError, TypeError, ValueError
             As ``rtin.refine`` does; the mesh is then as it was.
         """
-        from rtin._kernels.adaptive import has_room, mark_targets, split_marked, unmark
+        from rtin._kernels.adaptive import LATEST, has_room, mark_targets, split_marked
 
         split = as_scheme(scheme)
         chosen = as_targets(targets, self.n_triangles)
         n, m = self.n_vertices, self.n_triangles
-        n_marked, n_new, n_added = mark_targets(self._state, chosen, split.sides)
-        try:
+        if not len(chosen):
+            self._change = _Change.none(n, m)
+            return np.empty(0, np.int32)
+        if self._state.counts[LATEST] == np.iinfo(np.int32).max:
+            self._number_calls_anew()
+        with self._changing():
+            n_marked, n_new, n_added = mark_targets(self._state, chosen, split.sides)
             if not has_room(self._state, n_new, n_added):
                 self._make_room(n_new, n_added)
-            new = np.concatenate([self._state.marked[:n_marked], np.arange(m, m + n_added)])
-        except BaseException:
-            unmark(self._state, n_marked)
-            raise
-        too_small, created, events = split_marked(
-            self._state, n_marked, n_new, n_added, split.pattern
-        )
+            added = np.arange(m, m + n_added, dtype=np.int32)
+            new = np.concatenate([self._state.marked[:n_marked], added])
+            too_small, created, events = split_marked(
+                self._state, n_marked, n_new, n_added, split.pattern
+            )
+            if too_small < 0:
+                self._mesh = None
+                self._change = _Change(n, m, created, np.empty(0, np.int32), events)
         if too_small >= 0:
             corners = self._state.cells[too_small, :3]
             raise too_small_to_split(self._state.vertices, corners)
-        self._mesh = None
-        self._change = _Change(n, m, created, np.empty(0, np.int32), events)
         if self._heights is not None:
             raised = self._state.vertices[created]
             lift(raised, self._heights)
             self._state.vertices[created] = raised
-        return new.astype(np.int32)
+        return new
 
     def coarsen(self, targets: ArrayLike) -> _Numbers:
         """Undo bisections whose triangles are all targets, where the mesh stays conforming.
@@ -233,10 +246,46 @@ class AdaptiveMesh:
 
         chosen = as_targets(targets, self.n_triangles)
         n, m = self.n_vertices, self.n_triangles
-        removed, events, merged = coarsen_targets(self._state, chosen)
-        self._mesh = None if len(removed) else self._mesh
-        self._change = _Change(n, m, np.empty(0, np.int32), removed, events)
+        with self._changing():
+            removed, events, merged = coarsen_targets(self._state, chosen)
+            self._mesh = None if len(removed) else self._mesh
+            self._change = _Change(n, m, np.empty(0, np.int32), removed, events)
         return np.asarray(merged)
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Stay whole if memory or the user ends the block: kernels work to their end or not at all.
+
+        Ctrl-C during a kernel takes effect after it. What it did is lost then, but for the mesh.
+        """
+        from rtin._kernels.adaptive import MARKS
+
+        before = self._state.counts.copy()
+        try:
+            yield
+        except BaseException:
+            self._state.cells[: self.n_triangles, MARKS] = 0
+            if (self._state.counts != before).any():
+                self._mesh = self._change = None
+            raise
+
+    def _last_change(self) -> _Change:
+        if self._change is None:
+            raise RuntimeError(
+                "the last change was interrupted, and what it did is not known; "
+                "refine or coarsen once more (nothing, if need be) to transfer from here on"
+            )
+        return self._change
+
+    def _number_calls_anew(self) -> None:
+        """Count calls of refine from one on again, but for gaps as before."""
+        from rtin._kernels.adaptive import LATEST, STAMP
+
+        stamps = self._state.nodes[: self._state.counts[1], STAMP]
+        made = stamps > 0
+        calls, places = np.unique(stamps[made], return_inverse=True)
+        stamps[made] = places + 1
+        self._state.counts[LATEST] = len(calls)
 
     def _make_room(self, n_new: int, n_added: int) -> None:
         m, n_slots, _, _ = self._state.counts.tolist()
@@ -277,26 +326,28 @@ class AdaptiveMesh:
         ValueError
             If there are not as many values as there were vertices or triangles, or ``on`` is
             neither.
+        TypeError
+            If the values are not numbers.
+        RuntimeError
+            If the last change was interrupted, so that it is not known what it did.
         """
         given = np.asarray(values)
+        if given.dtype.kind not in "biufc":
+            raise TypeError(f"values must be numbers, got an array of {given.dtype}")
         if given.dtype.kind not in "fc":
             given = given.astype(np.float64)
-        sources, weights = self._sources(on)
-        n_before = self._change.n_before(on)
+        origin, n_before = self._origin(on), self._last_change().n_before(on)
         if given.ndim == 0 or len(given) != n_before:
             raise ValueError(
                 f"a value is wanted for each of {n_before} {on} before the last change, "
                 f"got an array of shape {given.shape}"
             )
-        shape = (-1, *[1] * (given.ndim - 1))
-        rows = np.flatnonzero(weights[:, 0] != 1.0)
-        carried = given[sources[:, 0]]
-        carried[rows] *= weights[rows, 0].reshape(shape)
-        for column in range(1, sources.shape[1]):
-            # Only what has a share: zero times infinity is no number.
-            rows = rows[weights[rows, column] > 0.0]
-            shares = weights[rows, column].reshape(shape)
-            carried[rows] += shares * given[sources[rows, column]]
+        carried = given[origin.sources]
+        carried[origin.mixed] = 0.0
+        for parts, shares in zip(origin.parts.T, origin.shares.T, strict=True):
+            some = shares > 0.0  # of the others nothing: zero times infinity is no number
+            weights = shares[some].reshape(-1, *[1] * (given.ndim - 1))
+            carried[origin.mixed[some]] += weights * given[parts[some]]
         return carried
 
     def transfer_matrix(self, on: On = "vertices") -> scipy.sparse.csr_array:
@@ -313,34 +364,34 @@ class AdaptiveMesh:
             from scipy.sparse import csr_array
         except ModuleNotFoundError:
             raise ImportError(
-                "a matrix needs SciPy, which is not installed; pip install scipy"
+                'a matrix needs SciPy, which is not installed; pip install "rtin[fem]"'
             ) from None
-        sources, weights = self._sources(on)
-        rows, places = np.nonzero(weights)
-        triplets = weights[rows, places], (rows, sources[rows, places])
-        return csr_array(triplets, shape=(len(sources), self._change.n_before(on)))
+        origin = self._origin(on)
+        single = np.ones(len(origin.sources), np.bool_)
+        single[origin.mixed] = False
+        rows, places = np.nonzero(origin.shares)
+        values = np.concatenate([np.ones(single.sum()), origin.shares[rows, places]])
+        targets = np.concatenate([np.flatnonzero(single), origin.mixed[rows]])
+        sources = np.concatenate([origin.sources[single], origin.parts[rows, places]])
+        shape = (len(origin.sources), self._last_change().n_before(on))
+        return csr_array((values, (targets, sources)), shape=shape)
 
-    def _sources(self, on: On) -> tuple[_Numbers, NDArray[np.float64]]:
-        """Return what each value now comes from: numbers before the change, and weights."""
+    def _origin(self, on: On) -> _Origin:
         if on == "vertices":
-            return self._sources_of_vertices()
+            return self._origin_of_vertices()
         if on == "triangles":
-            return self._change.sources_of_triangles(self.n_triangles)
+            return self._last_change().origin_of_triangles(self.n_triangles)
         raise ValueError(f'on must be "vertices" or "triangles", got {on!r}')
 
-    def _sources_of_vertices(self) -> tuple[_Numbers, NDArray[np.float64]]:
-        used = self._used()
+    def _origin_of_vertices(self) -> _Origin:
+        change, used = self._last_change(), self._used()
         before = used.copy()
-        before[self._change.created], before[self._change.removed] = False, True
+        before[change.created], before[change.removed] = False, True
         numbers_before = np.cumsum(before, dtype=np.int32) - np.int32(1)
         slots = np.flatnonzero(used)
-        sources = np.repeat(numbers_before[slots, np.newaxis], 2, axis=1)
-        weights = np.zeros((len(slots), 2))
-        weights[:, 0] = 1.0
-        new = ~before[slots]
-        sources[new] = numbers_before[self._state.nodes[slots[new], :2]]
-        weights[new] = 0.5
-        return sources, weights
+        new = np.flatnonzero(~before[slots])
+        parts = numbers_before[self._state.nodes[slots[new], :2]]
+        return _Origin(numbers_before[slots], new, parts, np.full(parts.shape, 0.5))
 
     def _column(self, name: str) -> _Numbers:
         """Return what the kernels keep of each triangle under this name."""
@@ -357,6 +408,9 @@ class AdaptiveMesh:
     def _numbers(self) -> _Numbers:
         """Return each slot's vertex number."""
         return np.cumsum(self._used(), dtype=np.int32) - np.int32(1)
+
+    def __copy__(self) -> AdaptiveMesh:
+        return deepcopy(self)
 
     def __repr__(self) -> str:
         return f"<AdaptiveMesh {self.n_vertices} vertices, {self.n_triangles} triangles>"
@@ -379,18 +433,25 @@ class _Change(NamedTuple):
     def n_before(self, on: On) -> int:
         return self.n_vertices if on == "vertices" else self.n_triangles
 
-    def sources_of_triangles(self, n_triangles: int) -> tuple[_Numbers, NDArray[np.float64]]:
-        from rtin._kernels.adaptive import MOST_SOURCES, trace
+    def origin_of_triangles(self, n_triangles: int) -> _Origin:
+        from rtin._kernels.adaptive import trace
 
         slots = np.unique(self.events[:, 1:])
-        places, shares, _ = trace(self.events, slots)
-        sources = np.repeat(np.arange(n_triangles, dtype=np.int32)[:, np.newaxis], MOST_SOURCES, 1)
-        weights = np.zeros((n_triangles, MOST_SOURCES))
-        weights[:, 0] = 1.0
+        places, shares, counts = trace(self.events, slots)
         kept = slots < n_triangles
-        sources[slots[kept]] = slots[places[kept]]
-        weights[slots[kept]] = shares[kept]
-        return sources, weights
+        single, several = kept & (counts == 1), kept & (counts > 1)
+        sources = np.arange(n_triangles, dtype=np.int32)
+        sources[slots[single]] = slots[places[single, 0]]
+        return _Origin(sources, slots[several], slots[places[several]], shares[several])
+
+
+class _Origin(NamedTuple):
+    """Where each value comes from."""
+
+    sources: _Numbers  # (n,) the one value before the change, for all but the mixed ones
+    mixed: NDArray[np.integer[Any]]  # (k,) numbers of values that come from several
+    parts: _Numbers  # (k, most): which
+    shares: NDArray[np.float64]  # (k, most): how much of each; zero where there are fewer
 
 
 def _grown(array: NDArray[Any], n_wanted: int) -> NDArray[Any]:
