@@ -371,7 +371,7 @@ def test_a_list_with_triangles_that_are_not_there_fails(coarse, tmp_path):
     (tmp_path / "list.txt").write_text("1000000")
     result = run("refine", coarse, tmp_path / "fine.ply", "--triangles", tmp_path / "list.txt")
     assert result.exit_code == 1
-    assert "are there, got 1000000" in result.output
+    assert "numbered from 0; got 1000000" in result.output
 
 
 def test_a_mesh_that_is_not_conforming_is_refused_with_its_fault(tmp_path):
@@ -381,3 +381,21 @@ def test_a_mesh_that_is_not_conforming_is_refused_with_its_fault(tmp_path):
     result = run("refine", tmp_path / "hanging.ply", tmp_path / "out.ply", "--uniform", 1)
     assert result.exit_code == 1
     assert "vertex 4 hangs inside edge 0-2 of triangle 0, at (1, 1)" in result.output
+
+
+def test_heights_from_a_raster_do_not_need_a_sample_under_the_mesh(dem, tmp_path):
+    inside_a_cell = rtin.TriangleMesh.from_triangles(
+        [[5.2, -5.2, 0], [5.8, -5.2, 0], [5.5, -5.8, 0]], [[0, 1, 2]]
+    )
+    rtin.write_mesh(inside_a_cell, tmp_path / "small.ply")
+    out = tmp_path / "out.ply"
+    result = run("refine", tmp_path / "small.ply", out, "--uniform", 1, "--dem", dem, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["achieved"].startswith("unknown")
+    assert rtin.read_mesh(out).n_triangles == 4
+
+
+def test_more_triangles_than_can_be_numbered_are_refused_before_they_are_made(coarse, tmp_path):
+    result = run("refine", coarse, tmp_path / "out.ply", "--uniform", 20)
+    assert result.exit_code == 2
+    assert "--uniform 20 would make more than the" in " ".join(result.output.split())

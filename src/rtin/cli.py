@@ -229,6 +229,7 @@ def refine(
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
         with _progress(f"refining {mesh.n_triangles} triangles"):
             refined = _refined(mesh, grid, asked, scheme, times)
+        achieved = {} if grid is None else _achieved_by(refined, grid)
         with _progress(f"writing {out}"):
             write_mesh(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
         summary = {
@@ -237,7 +238,7 @@ def refine(
             "before": _mesh_counts(mesh),
             **_mesh_counts(refined),
             "asked": {name: str(v) if isinstance(v, Path) else v for name, v in asked.items()},
-            **({} if grid is None else _achieved(_measured(refined, grid))),
+            **achieved,
             "bytes": out.stat().st_size,
             "seconds": round(time.perf_counter() - started, 3),
         }
@@ -395,6 +396,14 @@ def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
         return vertical_error(mesh, grid)
 
 
+def _achieved_by(mesh: TriangleMesh, grid: Grid) -> dict[str, Any]:
+    """Return the figures to report, none where a mesh lies between the samples or beside them."""
+    try:
+        return _achieved(_measured(mesh, grid))
+    except ValueError:
+        return {"achieved": "unknown: the mesh covers no sample of the raster"}
+
+
 def _refined(
     mesh: TriangleMesh, grid: Grid | None, asked: dict[str, Any], scheme: str, times: int
 ) -> TriangleMesh:
@@ -403,6 +412,7 @@ def _refined(
 
     if grid is not None and {"max_error", "threshold"} & asked.keys():
         return refine_to(mesh, grid, scheme=scheme, **asked)
+    _require_numbers_for(mesh.n_triangles, asked.get("uniform", 0), scheme)
     targets: Any
     for _ in range(asked.get("uniform", times)):
         if "where" in asked:
@@ -513,6 +523,15 @@ def _flag(name: str) -> str:
 def _require_positive(flag: str, value: float | None) -> None:
     if value is not None and not 0.0 < value < float("inf"):
         raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
+
+
+def _require_numbers_for(n_triangles: int, n_times: int, scheme: str) -> None:
+    """Refuse to refine so often that the triangles, at least so many, can't be numbered."""
+    n_children, most = 2 if scheme == "bisection" else 4, 2**31 // 3
+    if n_triangles * n_children ** min(n_times, 40) > most:
+        raise typer.BadParameter(
+            f"--uniform {n_times} would make more than the {most} triangles that can be numbered"
+        )
 
 
 def _require_writable(out: Path, dem: Path | None) -> None:
@@ -630,7 +649,9 @@ def _give_up(error: Exception) -> None:
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if not isinstance(error, BrokenPipeError):
-        expected = isinstance(error, OSError | ValueError | TypeError | MemoryError | ImportError)
+        expected = isinstance(
+            error, OSError | ValueError | TypeError | IndexError | MemoryError | ImportError
+        )
         _say(_one_line(error) if expected else f"{type(error).__name__}: {_one_line(error)}")
 
 

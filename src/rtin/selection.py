@@ -30,12 +30,9 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Pow: operator.pow,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
-    ast.BitAnd: np.logical_and,
-    ast.BitOr: np.logical_or,
     ast.And: np.logical_and,
     ast.Or: np.logical_or,
     ast.Not: np.logical_not,
-    ast.Invert: np.logical_not,
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.Gt: operator.gt,
@@ -118,10 +115,19 @@ def _value(node: ast.AST, mesh: TriangleMesh, condition: str) -> Any:  # noqa: A
         text = ast.get_source_segment(condition.strip(), node) or condition
         raise ValueError(
             f"cannot use {text!r} in a condition; there are the quantities "
-            f"{', '.join(_QUANTITIES)} and the functions {', '.join(_FUNCTIONS)}"
+            f"{', '.join(_QUANTITIES)}, the functions {', '.join(_FUNCTIONS)}, and, or, not"
         )
     operate, parts = found
-    return operate(*[_value(part, mesh, condition) for part in parts])
+    values = [_value(part, mesh, condition) for part in parts]
+    if isinstance(node, ast.BoolOp) or isinstance(getattr(node, "op", None), ast.Not):
+        for part, value in zip(parts, values, strict=True):
+            _require_truth(value, ast.get_source_segment(condition.strip(), part) or condition)
+    return operate(*values)
+
+
+def _require_truth(value: Any, text: str) -> None:  # noqa: ANN401
+    if np.asarray(value).dtype != np.bool_:
+        raise ValueError(f"and, or, not want something true or false in a condition, got {text!r}")
 
 
 def _operation(node: ast.AST) -> tuple[Callable[..., Any], list[ast.expr]] | None:
