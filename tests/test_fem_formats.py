@@ -440,6 +440,14 @@ def test_cells_of_second_order_are_cut_at_all_their_nodes(kind, case, suffix, tm
     assert mesh.tags.tolist() == [4] * n_triangles
 
 
+def test_cells_without_a_material_have_tag_0_beside_those_that_have_one(tmp_path):
+    nodes = "ND 1 0 0 0\nND 2 1 0 0\nND 3 1 1 0\nND 4 0 1 0\n"
+    (tmp_path / "mesh.2dm").write_text(f"MESH2D\nE3T 1 1 2 3\nE3T 2 1 3 4 5.0\n{nodes}")
+    assert read_mesh(tmp_path / "mesh.2dm").tags.tolist() == [0, 5]
+    (tmp_path / "mesh.2dm").write_text(f"MESH2D\nE3T 1 1 2 3\nE3T 2 1 3 4\n{nodes}")
+    assert read_mesh(tmp_path / "mesh.2dm").tags is None
+
+
 def test_cells_of_second_order_are_cut_in_a_2dm_too(tmp_path):
     walk = {"E6T": [0, 3, 1, 4, 2, 5], "E8Q": [0, 4, 1, 5, 2, 6, 3, 7]}
     for card, kind in [("E6T", "triangle6"), ("E8Q", "quad8")]:
@@ -515,6 +523,9 @@ WRONG = [
     ("a.2dm", SMS, "ND 40", "ND 4O", "something that is no number stands where"),
     ("a.2dm", SMS, "ND 40", "ND 20", "node 20 is there twice"),
     ("a.2dm", SMS, "20 40 41", "20 40 42", "a cell names node 42, which is not there"),
+    ("a.2dm", SMS, "10 20 12 7", "10 20.5 12 7", "a number and 3 nodes, got a fraction"),
+    ("a.2dm", SMS, "10 20 12 7", "10 20 12 7.5", "a material is a whole number .*, got '7.5'"),
+    ("a.2dm", SMS, "10 20 12 7", "10 20 12 5000000000", "a material is a whole number of 32 bits"),
 ]
 
 

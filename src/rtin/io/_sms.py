@@ -6,12 +6,13 @@ As XMS Wiki's "SMS:2D Mesh Files *.2dm" describes it; no maintained library read
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.io._cells import Cells, FileMesh, as_tags, cut, numbers_in, stored_tags, with_tagged
+from rtin.io._cells import Cells, FileMesh, cut, numbers_in, stored_tags, with_tagged
 from rtin.io._placement import PlacedMesh
 
 __all__ = ["read", "sms"]
@@ -28,6 +29,7 @@ _CARDS = {
     b"E9Q": ("quad9", [0, 2, 4, 6, 1, 3, 5, 7, 8]),
 }
 _MARK = b"# rtin "
+_WHOLE = re.compile(rb"[+-]?\d{1,10}(\.0*)?")
 
 
 def sms(placed: PlacedMesh) -> bytes:
@@ -91,10 +93,30 @@ def _cells(run: tuple[bytes, _Rows]) -> Cells:
     kind, order = _CARDS[card]
     wanted = f"{card.decode()} wants a number and {len(order)} nodes"
     numbers = _as_numbers(rows, 1 + len(order), wanted)
-    materials = [fields[1 + len(order)] for _, fields in rows if len(fields) > 1 + len(order)]
-    is_tagged = len(materials) == len(rows)
-    tags = as_tags(np.array(materials, dtype=np.float64)) if is_tagged else None
-    return Cells(kind, numbers[:, 1:].astype(np.int64)[:, order], tags)
+    whole = (numbers == np.floor(numbers)).all(axis=1)
+    if not whole.all():
+        raise ValueError(f"line {rows[int(np.argmin(whole))][0]}: {wanted}, got a fraction")
+    return Cells(kind, numbers[:, 1:].astype(np.int64)[:, order], _materials(rows, 1 + len(order)))
+
+
+def _materials(rows: _Rows, place: int) -> NDArray[np.int32] | None:
+    """Return the cells' materials, 0 for those that have none; None if no cell has one."""
+    if all(len(fields) <= place for _, fields in rows):
+        return None
+    return np.array(
+        [_material(fields[place], number) if len(fields) > place else 0 for number, fields in rows],
+        dtype=np.int32,
+    )
+
+
+def _material(field: bytes, line: int) -> int:
+    material = int(field.partition(b".")[0]) if _WHOLE.fullmatch(field) else 2**31
+    if not -(2**31) <= material < 2**31:
+        raise ValueError(
+            f"line {line}: a material is a whole number of 32 bits, "
+            f"got {field[:20].decode(errors='replace')!r}"
+        )
+    return material
 
 
 def _as_numbers(rows: _Rows, count: int, wanted: str) -> NDArray[np.float64]:
