@@ -159,7 +159,7 @@ def test_changes_nothing():
 @pytest.mark.parametrize(
     ("triangles", "error", "wanted"),
     [
-        ([2], IndexError, "triangles 0 to 1 are there, got 2"),
+        ([2], IndexError, "there are 2 triangles, numbered from 0; got 2"),
         ([-1], IndexError, "got -1"),
         ([0.0], TypeError, "float64"),
         (["0"], TypeError, "boolean for each"),

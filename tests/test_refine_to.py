@@ -305,12 +305,12 @@ WRONG = {
         {"mesh": meshes.strip(4, np.random.default_rng(0)), "max_error": 1,
          "grid": rtin.Grid(np.ones((3, 3)), (1, 0, 500, 0, -1, 0))},
         ValueError,
-        "the mesh covers no sample of the grid",
+        "the mesh lies beside the grid",
     ),
     "no vertices": (
         {"mesh": TriangleMesh(np.empty((0, 3)), np.empty((0, 3), int)), "max_error": 1},
         ValueError,
-        "the mesh covers no sample",
+        "the mesh lies beside the grid",
     ),
 }  # fmt: skip
 

@@ -493,7 +493,7 @@ def test_leaves_its_input_alone(mesh, scheme, seed):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_keeps_vertices_that_belong_to_no_triangle(scheme):
-    vertices = np.vstack([SQUARE.vertices, [[9, 9, 9], [1, 1, 0], [np.nan, np.inf, 0], [0, 0, 0]]])
+    vertices = np.vstack([SQUARE.vertices, [[9, 9, 9], [1, 1, 0], [-7, 1e9, 0], [0, 0, 0]]])
     refined = rtin.refine(TriangleMesh(vertices, SQUARE.triangles), [0], scheme)
     wanted = rtin.refine(SQUARE, [0], scheme)
     assert refined.vertices[:8].tobytes() == vertices.tobytes()
@@ -809,7 +809,7 @@ def test_says_when_a_triangle_is_too_small_to_split(scheme, offset):
     places = np.array([[0, 0, 1], [1, 0.1, 2], [0.1, 1, 3]]) / 3 + [offset, offset, 0]
     mesh, error = refined_until_refused(TriangleMesh.from_triangles(places, [[0, 1, 2]]), scheme)
     validity.check(mesh)
-    assert re.fullmatch("a triangle is too small for its parts to be told apart.*", str(error))
+    assert re.fullmatch("a triangle is too small or too thin to be split.*", str(error))
     named = re.findall(r"\(([^,()]*), ([^,()]*)\)", str(error))
     corners = [{place[:2] for place in triangle} for triangle in with_places(mesh)]
     assert {tuple(map(float, place)) for place in named} in corners
@@ -841,7 +841,7 @@ def test_of_two_triangles_that_are_too_small_the_first_is_named(between):
             np.vstack([one, far.vertices, other]),
             np.vstack([mesh.triangles, far.triangles + starts[1], mesh.triangles + starts[2]]),
         )
-        with pytest.raises(ValueError, match=rf"told apart in float64: \({sign}5\d+\.\d+, {sign}5"):
+        with pytest.raises(ValueError, match=rf"split in float64: \({sign}5\d+\.\d+, {sign}5"):
             rtin.refine(both, [target, mesh.n_triangles + far.n_triangles + target])
 
 
@@ -853,13 +853,21 @@ def test_refuses_more_triangles_than_can_be_numbered(monkeypatch):
 
 
 WRONG = {
-    "no such triangle": ({"targets": [0, 2]}, IndexError, "triangles 0 to 1 are there, got 2"),
-    "negative": ({"targets": [0, -1]}, IndexError, "triangles 0 to 1 are there, got -1"),
+    "no such triangle": (
+        {"targets": [0, 2]},
+        IndexError,
+        "there are 2 .*; got 2",
+    ),
+    "negative": (
+        {"targets": [0, -1]},
+        IndexError,
+        "there are 2 .*; got -1",
+    ),
     "very large": ({"targets": [2**63]}, IndexError, f"got {2**63}"),
     "fractions": ({"targets": [0.0, 1.0]}, TypeError, r"wanted, got .* float64 with shape \(2,\)"),
     "text": ({"targets": ["0"]}, TypeError, "wanted, got an array of <U1"),
-    "nothing": ({"targets": None}, TypeError, "wanted, got an array of object"),
-    "a set": ({"targets": {0, 1}}, TypeError, "wanted, got an array of object"),
+    "nothing": ({"targets": None}, TypeError, "wanted, got NoneType"),
+    "a set": ({"targets": {0, 1}}, TypeError, "wanted, got set"),
     "a number": ({"targets": 1}, ValueError, r"one dimension, got shape \(\)"),
     "two dimensions": ({"targets": [[0, 1]]}, ValueError, r"one dimension, got shape \(1, 2\)"),
     "two-dimensional mask": ({"targets": [[True, False]]}, TypeError, "bool with shape"),
@@ -880,3 +888,20 @@ def test_says_what_was_wanted_and_what_came(wrong):
     with pytest.raises(error, match=message) as raised:
         rtin.refine(**{"mesh": SQUARE, "targets": [0]} | options)
     assert "\n" not in str(raised.value)
+
+
+def test_a_vertex_that_is_not_finite_is_refused_even_where_no_triangle_has_it():
+    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [np.nan, 0, 0]]
+    mesh = TriangleMesh.from_triangles(points, [[0, 1, 2]])
+    with pytest.raises(validity.InvalidMesh, match="vertex 3 has a coordinate that is not finite"):
+        rtin.refine(mesh, [0])
+
+
+def test_says_what_came_instead_of_numbers():
+    mesh = TriangleMesh.from_triangles([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    with pytest.raises(TypeError, match="a boolean for each are wanted, got set"):
+        rtin.refine(mesh, {0})
+    with pytest.raises(TypeError, match="a boolean for each are wanted, got function"):
+        rtin.AdaptiveMesh(mesh).refine(lambda mesh: [0])
+    with pytest.raises(ValueError, match=r"scheme must be one of .*, got \['4T-LE'\]"):
+        rtin.refine(mesh, [0], ["4T-LE"])

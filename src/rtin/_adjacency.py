@@ -26,7 +26,8 @@ def twins_of(mesh: TriangleMesh) -> _Numbers:
     """
     if mesh.n_triangles > np.iinfo(np.int32).max // 3:
         raise ValueError(f"at most 715827882 triangles are wanted, got {mesh.n_triangles}")
-    twins = _paired(mesh) if _turns_left(mesh) else None
+    looks_right = np.isfinite(mesh.vertices).all() and _turns_left(mesh)
+    twins = _paired(mesh) if looks_right else None
     if twins is None or validity.has_gaps(mesh, np.flatnonzero(twins < 0)):
         validity.check_triangles(mesh)
         twins = _paired(mesh)

@@ -152,7 +152,8 @@ def refine_to(
     threshold : float
         Refine triangles whose longest edge has a midpoint v with E(v) > ε, Eq. (1): the paper's
         criterion. It promises nothing about the surface, and looks no closer than the raster:
-        edges shorter than one and a half cells are left as they are.
+        edges shorter than one and a half cells are left as they are. Equality is accepted here,
+        as in the paper's refinement; ``coarsen`` keeps a vertex with E(v) = ε, as its coarsening.
     max_error : float, or array_like of the grid's shape
         Refine triangles that are farther than this from a sample under them, vertically.
     scheme : {"4T-LE", "4T-SS", "bisection"}
@@ -169,8 +170,8 @@ def refine_to(
     ------
     ValueError
         If not exactly one criterion is given, it is negative or not finite (in an array, samples
-        may be infinite), the mesh covers no sample, or float64 is too coarse to come closer, as may
-        happen at ``max_error=0`` where the mesh's edges do not meet the samples.
+        may be infinite), the mesh lies beside the raster, or float64 is too coarse to come closer,
+        as may happen at ``max_error=0`` where the mesh's edges do not meet the samples.
     InvalidMesh, TypeError
         As ``refine`` does.
     """
@@ -202,7 +203,7 @@ def refine_to(
 
 def as_scheme(name: str) -> Scheme:
     """Return the scheme of that name, or raise a ValueError that lists them."""
-    if name not in SCHEMES:
+    if not isinstance(name, str) or name not in SCHEMES:
         raise ValueError(f"scheme must be one of {', '.join(SCHEMES)}, got {name!r}")
     return SCHEMES[name]
 
@@ -248,8 +249,12 @@ def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
         return np.empty(0, np.int64)
     if targets.dtype.kind not in "iu":
         raise TypeError(
-            "numbers of triangles or a boolean for each are wanted, "
-            f"got an array of {targets.dtype} with shape {targets.shape}"
+            "numbers of triangles or a boolean for each are wanted, got "
+            + (
+                type(given).__name__
+                if targets.dtype == object
+                else f"an array of {targets.dtype} with shape {targets.shape}"
+            )
         )
     if targets.ndim != 1:
         raise ValueError(
@@ -258,7 +263,7 @@ def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
     low, high = targets.min(), targets.max()
     if low < 0 or high >= n_triangles:
         raise IndexError(
-            f"triangles 0 to {n_triangles - 1} are there, got {low if low < 0 else high}"
+            f"there are {n_triangles} triangles, numbered from 0; got {low if low < 0 else high}"
         )
     return targets.astype(np.int64)
 
@@ -294,9 +299,7 @@ def _require_overlap(mesh: TriangleMesh, grid: Grid) -> None:
     places = grid.places(mesh.vertices[:, :2])
     last = np.subtract(grid.shape, 1)
     if not len(places) or (places.max(axis=0) < 0.0).any() or (places.min(axis=0) > last).any():
-        raise ValueError(
-            "the mesh covers no sample of the grid; bring both into the same coordinates"
-        )
+        raise ValueError("the mesh lies beside the grid; bring both into the same coordinates")
 
 
 # --- steps --------------------------------------------------------------------------------------
@@ -419,7 +422,7 @@ def too_small_to_split(vertices: NDArray[np.float64], triangle: NDArray[np.int32
     """Return what to say of a triangle whose children would have no area in float64."""
     places = ", ".join(f"({x:.17g}, {y:.17g})" for x, y in vertices[triangle, :2])
     return ValueError(
-        f"a triangle is too small for its parts to be told apart in float64: {places}; "
+        f"a triangle is too small or too thin to be split in float64: {places}; "
         "refine less there, or move the mesh closer to the origin"
     )
 
