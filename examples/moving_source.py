@@ -131,12 +131,12 @@ def estimate(mesh: skfem.MeshTri, u: Floats) -> Floats:
     return np.asarray(np.sqrt(from_edges))
 
 
-def at_the_ship(mesh: rtin.TriangleMesh, time: float) -> NDArray[np.bool_]:
+def at_the_ship(mesh: rtin.TriangleMesh, areas: Floats, time: float) -> NDArray[np.bool_]:
     """Return which triangles the source reaches before the mesh changes again."""
     centres = mesh.vertices[mesh.triangles, :2].mean(axis=1)
     places = [ship(time + share * EVERY * TIME_STEP) for share in (0.0, 0.5, 1.0)]
     distances = np.min([np.linalg.norm(centres - place, axis=1) for place in places], axis=0)
-    return np.asarray(distances < 3 * RADIUS + np.sqrt(mesh.signed_areas()))
+    return np.asarray(distances < 3 * RADIUS + np.sqrt(areas))
 
 
 def transfer(adaptive: rtin.AdaptiveMesh, fields: Fields) -> Fields:
@@ -150,8 +150,8 @@ def adapt(
 ) -> Fields:
     """Refine the mesh where u is off by much, coarsen it where by little; return the fields."""
     while True:
-        mesh = adaptive.mesh
-        errors, source = curvature * mesh.signed_areas() ** 1.5, at_the_ship(mesh, time)
+        areas = adaptive.mesh.signed_areas()
+        errors, source = curvature * areas**1.5, at_the_ship(adaptive.mesh, areas, time)
         targets = ((errors > MUCH) | source) & (adaptive.levels < finest)
         if not targets.any():
             break
@@ -344,7 +344,7 @@ def draw_concentration(ax: plt.Axes, moment: Moment, width: float) -> None:
     seen = rtin.to_triangulation(moment.mesh)
     ax.tripcolor(seen, moment.fields.u, norm=SHADES.norm, cmap=SHADES.cmap, shading="gouraud")
     ax.triplot(seen, color="black", linewidth=width, alpha=0.5)
-    ax.plot(*ship(moment.time), "o", color="C3", ms=4)
+    ax.plot(*ship(moment.time), "o", mfc="white", mec="black", ms=6)
     frame_square(ax)
 
 
