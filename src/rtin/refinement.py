@@ -43,6 +43,7 @@ _Mask = NDArray[np.bool_]
 _Bands: TypeAlias = list[tuple[int, int]]
 
 _MOST_TRIANGLES = np.iinfo(np.int32).max // 3
+_ROUNDED = 1e-3  # cells that rounding may have moved a vertex by
 _SHORTEST_EDGE = 1.5  # cells; a hair more than the longest edge between samples of one cell
 
 
@@ -137,12 +138,14 @@ def refine_to(
     *,
     threshold: float | None = None,
     max_error: ArrayLike | None = None,
-    scheme: str = "4T-LE",
+    scheme: str = "bisection",
 ) -> TriangleMesh:
     """Return ``mesh`` with heights from ``grid``, refined until it fits them.
 
     The paper's top-down use of Eq. (1), from any mesh over the raster. All vertices, those of
     ``mesh`` too, get the raster's height at their place (``Grid.heights_at``), where it has one.
+    Those within a thousandth of a cell of a sample are moved onto it: rounding to 32 bits, as in a
+    GLB, shifts them by less, and would leave slivers between vertex and sample.
 
     Parameters
     ----------
@@ -157,7 +160,8 @@ def refine_to(
     max_error : float, or array_like of the grid's shape
         Refine triangles that are farther than this from a sample under them, vertically.
     scheme : {"4T-LE", "4T-SS", "bisection"}
-        As in ``refine``. "bisection" takes most rounds and makes the fewest triangles.
+        As in ``refine``. "bisection" takes most rounds and makes the fewest triangles: the others
+        about twice as many.
 
     Returns
     -------
@@ -188,7 +192,7 @@ def refine_to(
     _require_overlap(mesh, grid)
     twins_of(mesh)  # for its complaints: a mesh of which nothing is refined is checked as well
     find = _over_threshold if max_error is None else _off_by_more
-    vertices = mesh.vertices.copy()
+    vertices = _on_samples(mesh.vertices, grid)
     lift(vertices, grid)
     lifted = TriangleMesh(vertices, mesh.triangles, mesh.crs, mesh.tags)
     mesh, is_new = lifted, np.ones(mesh.n_triangles, np.bool_)
@@ -330,6 +334,20 @@ def _refined(
     triangles = _split(mesh, marks, twins, scheme, bands, counts[:, 1], vertices)
     tags = None if mesh.tags is None else np.repeat(mesh.tags, _n_children(marks))
     return _Step(TriangleMesh(vertices, triangles, mesh.crs, tags), marks)
+
+
+def _on_samples(vertices: NDArray[np.float64], grid: Grid) -> NDArray[np.float64]:
+    """Return vertices with those that are very close to a sample on it, if they are alone there."""
+    places = grid.places(vertices[:, :2])
+    nearest = np.rint(places)
+    close = np.flatnonzero((np.abs(places - nearest) < _ROUNDED).all(axis=1))
+    _, which, counts = np.unique(nearest[close], axis=0, return_inverse=True, return_counts=True)
+    close = close[counts[which.ravel()] == 1]
+    moved = vertices.copy()
+    a, b, x0, d, e, y0 = tuple(grid.transform)[:6]
+    row, col = nearest[close].T
+    moved[close, 0], moved[close, 1] = x0 + a * col + b * row, y0 + d * col + e * row
+    return moved
 
 
 def lift(vertices: NDArray[np.float64], grid: Grid) -> None:
