@@ -399,3 +399,91 @@ def test_more_triangles_than_can_be_numbered_are_refused_before_they_are_made(co
     result = run("refine", coarse, tmp_path / "out.ply", "--uniform", 20)
     assert result.exit_code == 2
     assert "--uniform 20 would make more than the" in " ".join(result.output.split())
+
+
+def test_a_mesh_that_went_through_32_bits_is_refined_like_the_one_it_was(tmp_path):
+    """In degrees, where a GLB moves vertices by a ten-thousandth of a cell."""
+    grid = samples.topobathy()
+    coarse = rtin.coarsen(grid, max_error=400)
+    rtin.write_mesh(coarse, tmp_path / "coarse.glb")
+    back = rtin.read_mesh(tmp_path / "coarse.glb")
+    assert (back.vertices != coarse.vertices).any()
+    for scheme in ("bisection", "4T-LE"):
+        fitted = rtin.refine_to(back, grid, max_error=100, scheme=scheme)
+        wanted = rtin.refine_to(coarse, grid, max_error=100, scheme=scheme)
+        assert fitted.triangles.tobytes() == wanted.triangles.tobytes()
+        assert rtin.vertical_error(fitted, grid).n_uncovered == 0
+
+
+def test_a_mesh_without_a_crs_beside_its_raster_is_doubted(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtin.io.grids.read_grid", lambda *_, **__: samples.topobathy())
+    mesh = rtin.coarsen(samples.topobathy(), max_error=2000)
+    shifted = rtin.TriangleMesh(np.add(mesh.vertices, (10, 0, 0)), mesh.triangles)
+    rtin.write_mesh(shifted, tmp_path / "shifted.ply")
+    options = ("--uniform", 0, "--dem", "dem.tif", "--json")
+    result = run("refine", tmp_path / "shifted.ply", tmp_path / "out.ply", *options)
+    notes = json.loads(result.stdout)["notes"]
+    assert any("the mesh has no CRS: taken to be in the raster's, EPSG:4326" in n for n in notes)
+    assert any("vertices lie beside the raster" in note for note in notes)
+
+
+def test_a_mesh_in_another_crs_than_the_raster_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("rtin.io.grids.read_grid", lambda *_, **__: samples.topobathy())
+    mesh = rtin.coarsen(samples.topobathy(), max_error=2000)
+    other = rtin.TriangleMesh(mesh.vertices, mesh.triangles, "EPSG:2056")
+    rtin.write_mesh(other, tmp_path / "other.ply")
+    out = tmp_path / "out.ply"
+    result = run("refine", tmp_path / "other.ply", out, "--max-error", 100, "--dem", "dem.tif")
+    assert result.exit_code == 1
+    assert "the mesh is in EPSG:2056, the raster in EPSG:4326; reproject" in result.output
+    assert not out.exists()
+
+
+def test_a_closed_solid_is_refused_as_what_it_is(dem, tmp_path):
+    solid = tmp_path / "solid.stl"
+    run("coarsen", dem, solid, "--max-error", 100, "--base", 10)
+    result = run("refine", solid, tmp_path / "out.stl", "--uniform", 1)
+    assert result.exit_code == 1
+    assert "the mesh is a closed solid; refine the terrain before it gets a --base" in result.output
+
+
+def test_that_nothing_was_chosen_is_said(coarse, tmp_path):
+    _, summary = refined(coarse, tmp_path, "--where", "z > 1e9")
+    assert summary["notes"][0] == "no triangle was chosen: the mesh is as before"
+
+
+def test_info_lists_tags(tmp_path):
+    mesh = rtin.TriangleMesh.from_triangles(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], tags=[7, 8]
+    )
+    rtin.write_mesh(mesh, tmp_path / "tagged.2dm")
+    summary = json.loads(run("info", tmp_path / "tagged.2dm", "--json").stdout)
+    assert summary["tags"] == ["7 (1 triangles)", "8 (1 triangles)"]
+
+
+# Swallows Ctrl-C, as trimesh does with whatever ends the import of what it can do without.
+SLOW_IMPORT = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from rtin import cli
+
+class Swallows:
+    def find_spec(self, name, path, target=None):
+        if name == "trimesh":
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                pass
+
+sys.meta_path.insert(0, Swallows())
+sys.argv = ["rtin", "refine", sys.argv[1], sys.argv[2], "--uniform", "1"]
+cli.main()
+"""
+
+
+def test_ctrl_c_is_not_lost_while_libraries_are_imported(coarse, tmp_path):
+    out = tmp_path / "out.ply"
+    command = [sys.executable, "-c", SLOW_IMPORT, str(coarse), str(out)]
+    result = subprocess.run(command, capture_output=True, check=False)
+    assert result.returncode == 130, result.stderr
+    assert not out.exists()

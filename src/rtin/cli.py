@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _QUIET_SECONDS = 1.0
+_MOST_TAGS = 20  # shown
 
 app = typer.Typer(
     help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
@@ -86,13 +88,24 @@ _KeepDegrees = Annotated[
 _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
 
 
+_interrupted = threading.Event()
+
+
 def main() -> None:
     """Run the ``rtin`` program."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         app()
     except OSError as error:  # of the help text itself: no space is left for it
         _give_up(error)
         sys.exit(1)
+
+
+def _interrupt(*_: Any) -> None:  # noqa: ANN401
+    """Take Ctrl-C down before it ends what is going on: trimesh drops it while it is imported."""
+    _interrupted.set()
+    raise KeyboardInterrupt
 
 
 @app.callback(invoke_without_command=True)
@@ -194,8 +207,12 @@ def refine(
         typer.Option(metavar="DEM", help="Raster that gives new vertices their heights."),
     ] = None,
     scheme: Annotated[
-        Literal["4T-LE", "4T-SS", "bisection"], typer.Option(help="How a triangle is split.")
-    ] = "4T-LE",
+        Literal["4T-LE", "4T-SS", "bisection"] | None,
+        typer.Option(
+            help="How a triangle is split: 4T-LE, but bisection to fit a raster, by default.",
+            show_default=False,
+        ),
+    ] = None,
     times: Annotated[
         int, typer.Option(metavar="N", min=1, help="Ask --where so often, each time anew.")
     ] = 1,
@@ -216,6 +233,7 @@ def refine(
     )
     if dem is None and {"max_error", "threshold"} & asked.keys():
         raise typer.BadParameter(f"{_flag(next(iter(asked)))} wants a raster to fit: --dem DEM")
+    scheme = scheme or ("bisection" if {"max_error", "threshold"} & asked.keys() else "4T-LE")
     if times > 1 and where is None:
         raise typer.BadParameter("--times goes with --where; for all triangles there is --uniform")
     _require_positive("--z-scale", z_scale)
@@ -227,8 +245,9 @@ def refine(
         with _progress(f"reading {path}"):
             mesh = read_mesh(path)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
+        _require_same_crs(mesh, grid)
         with _progress(f"refining {mesh.n_triangles} triangles"):
-            refined = _refined(mesh, grid, asked, scheme, times)
+            refined = _refined_or_refused(mesh, grid, asked, scheme, times)
         achieved = {} if grid is None else _achieved_by(refined, grid)
         with _progress(f"writing {out}"):
             write_mesh(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
@@ -238,12 +257,18 @@ def refine(
             "before": _mesh_counts(mesh),
             **_mesh_counts(refined),
             "asked": {name: str(v) if isinstance(v, Path) else v for name, v in asked.items()},
+            "scheme": scheme,
             **achieved,
             "bytes": out.stat().st_size,
             "seconds": round(time.perf_counter() - started, 3),
         }
         placed = placement_of(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
-        summary["notes"] = [*filter(None, [placed.note])]
+        nothing = "no triangle was chosen: the mesh is as before"
+        summary["notes"] = [
+            *([nothing] if refined is mesh or refined.n_triangles == mesh.n_triangles else []),
+            *filter(None, [placed.note]),
+            *_doubts_about(mesh, grid),
+        ]
         _report(summary, as_json)
 
 
@@ -396,12 +421,53 @@ def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
         return vertical_error(mesh, grid)
 
 
+def _require_same_crs(mesh: TriangleMesh, grid: Grid | None) -> None:
+    if grid is None or None in (mesh.crs, grid.crs) or mesh.crs == grid.crs:
+        return
+    raise ValueError(
+        f"the mesh is in {_name_of(mesh.crs)}, the raster in {_name_of(grid.crs)}; "
+        "reproject one of them first"
+    )
+
+
+def _doubts_about(mesh: TriangleMesh, grid: Grid | None) -> list[str]:
+    """Return a line for each sign that a mesh does not lie where its raster does."""
+    import numpy as np
+
+    if grid is None:
+        return []
+    doubts = []
+    if mesh.crs is None and grid.crs is not None:
+        doubts.append(f"the mesh has no CRS: taken to be in the raster's, {_name_of(grid.crs)}")
+    places = grid.places(mesh.vertices[:, :2])
+    beside = (places < -0.5) | (places > np.subtract(grid.shape, 0.5))
+    if beside.any():
+        n = int(beside.any(axis=1).sum())
+        doubts.append(f"{n} of the mesh's {mesh.n_vertices} vertices lie beside the raster")
+    return doubts
+
+
 def _achieved_by(mesh: TriangleMesh, grid: Grid) -> dict[str, Any]:
     """Return the figures to report, none where a mesh lies between the samples or beside them."""
     try:
         return _achieved(_measured(mesh, grid))
     except ValueError:
         return {"achieved": "unknown: the mesh covers no sample of the raster"}
+
+
+def _refined_or_refused(
+    mesh: TriangleMesh, grid: Grid | None, asked: dict[str, Any], scheme: str, times: int
+) -> TriangleMesh:
+    from rtin import validity
+
+    try:
+        return _refined(mesh, grid, asked, scheme, times)
+    except validity.InvalidMesh:
+        if validity.is_closed(mesh):
+            raise ValueError(
+                "the mesh is a closed solid; refine the terrain before it gets a --base"
+            ) from None
+        raise
 
 
 def _refined(
@@ -475,8 +541,19 @@ def _mesh_info(path: Path) -> dict[str, Any]:
         "to": high.tolist(),
         "crs": _name_of(mesh.crs),
         "solid": solid,
+        "tags": [] if mesh.tags is None else _counts_of_tags(mesh.tags),
         "complaints": [] if solid else complaints(mesh),
     }
+
+
+def _counts_of_tags(tags: Any) -> list[str]:  # noqa: ANN401  (NumPy is imported where needed)
+    """Return the commonest tags with their numbers of triangles."""
+    import numpy as np
+
+    found, counts = np.unique(tags, return_counts=True)
+    order = np.argsort(-counts, kind="stable")[:_MOST_TAGS]
+    more = ["…"] if len(found) > _MOST_TAGS else []
+    return [f"{found[i]} ({counts[i]} triangles)" for i in order] + more
 
 
 def _name_of(crs: Any) -> str | None:  # noqa: ANN401  (pyproj is imported where needed)
@@ -608,6 +685,8 @@ def _progress(what: str) -> Iterator[None]:
         finally:
             timer.cancel()
             timer.join()
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
 
 
 def _show(message: str, shown: ExitStack) -> None:
@@ -633,6 +712,8 @@ def _one_line_errors() -> Iterator[None]:
     except (typer.Exit, typer.BadParameter):
         raise
     except Exception as error:
+        if _interrupted.is_set():
+            raise KeyboardInterrupt from None
         if os.environ.get("RTIN_DEBUG"):
             raise
         _give_up(error)
@@ -658,4 +739,6 @@ def _give_up(error: Exception) -> None:
 def _one_line(error: BaseException | str) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or 'cannot write to stdout'}: {error.strerror}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: ask for fewer triangles or samples ({error})".replace(" ()", "")
     return " ".join(str(error).split()) or type(error).__name__
