@@ -338,9 +338,10 @@ class AdaptiveMesh:
             given = given.astype(np.float64)
         origin, n_before = self._origin(on), self._last_change().n_before(on)
         if given.ndim == 0 or len(given) != n_before:
+            other: On = "triangles" if on == "vertices" else "vertices"
             raise ValueError(
                 f"a value is wanted for each of {n_before} {on} before the last change, "
-                f"got an array of shape {given.shape}"
+                f'got an array of shape {given.shape}; for values on {other} say on="{other}"'
             )
         carried = given[origin.sources]
         carried[origin.mixed] = 0.0
