@@ -275,12 +275,11 @@ def test_takes_part_of_a_raster_in_utm():
 GRID = rtin.Grid(terrains.noise((5, 5)))
 INFINITE = np.full((5, 5), np.inf)
 WRONG = {
-    "no criterion": ({}, ValueError, "exactly one of threshold and max_error .* got none"),
-    "both": ({"threshold": 1, "max_error": 1}, ValueError, "exactly one of .* got both"),
+    "no criterion": ({}, ValueError, "exactly one of threshold, max_error; got none"),
+    "both": ({"threshold": 1, "max_error": 1}, ValueError, "exactly one of .* got threshold, max_error"),
     "negative": ({"max_error": -1.0}, ValueError, "max_error must be zero or more, .* got -1"),
     "negative threshold": ({"threshold": -0.5}, ValueError, "threshold must be .* got -0.5"),
     "NaN": ({"max_error": np.nan}, ValueError, "max_error must be zero or more, .* got nan"),
-    "infinite": ({"max_error": np.inf}, ValueError, "max_error must be zero or more, .* got inf"),
     "NaN threshold": ({"threshold": np.nan}, ValueError, "threshold must be .* got nan"),
     "text": ({"max_error": "5"}, TypeError, "max_error must be a number, got '5'"),
     "truth": ({"max_error": True}, TypeError, "max_error must be a number, got True"),
@@ -291,7 +290,7 @@ WRONG = {
     "one negative": (
         {"max_error": np.where(np.arange(25).reshape(5, 5) == 7, -3.0, np.inf)},
         ValueError,
-        "max_error must be zero or more, .* got -3 at row 1, column 2",
+        "max_error must be zero or more, .* got -3.0 at row 1, column 2",
     ),
     "one NaN": (
         {"max_error": np.where(np.arange(25).reshape(5, 5) == 24, np.nan, 1.0)},

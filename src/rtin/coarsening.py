@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin._number import as_number
+from rtin._options import as_height, as_tolerance_map, the_only_option
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
@@ -99,7 +99,7 @@ def coarsen(
         If the lattice does not fit in memory.
     """
     require_grid(grid)
-    name, value = _the_only_option(
+    name, value = the_only_option(
         max_error=max_error,
         max_vertices=max_vertices,
         max_triangles=max_triangles,
@@ -110,7 +110,7 @@ def coarsen(
     if name == "max_error":
         kept = _least_mesh(grid, _as_tolerance(grid, value), required)
     elif name == "threshold":
-        kept = _above_threshold(grid, _as_height("threshold", value), required)
+        kept = _above_threshold(grid, as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
@@ -143,7 +143,7 @@ def coarsen_levels(
     require_grid(grid)
     if np.ndim(max_errors) != 1:
         raise TypeError(f"max_errors must be a sequence of numbers, got {max_errors!r}")
-    tolerances = [_as_height("max_errors", value) for value in max_errors]
+    tolerances = [as_height("max_errors", value) for value in max_errors]
     if not tolerances:
         raise ValueError("max_errors must hold at least one tolerance, got an empty sequence")
     required = None if keep is None else _as_mask(grid, "keep", keep)
@@ -393,21 +393,6 @@ def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> _Shares:
 # --- the door -----------------------------------------------------------------------------------
 
 
-def _the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
-    given = {name: value for name, value in options.items() if value is not None}
-    if len(given) != 1:
-        names = ", ".join(options)
-        raise ValueError(f"give exactly one of {names}; got {', '.join(given) or 'none of them'}")
-    return next(iter(given.items()))
-
-
-def _as_height(name: str, value: Any) -> float:  # noqa: ANN401
-    height = as_number(name, value)
-    if not height >= 0.0:
-        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {height}")
-    return height
-
-
 def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} must be a whole number, got {value!r}")
@@ -417,23 +402,8 @@ def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
 def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401
     """Return a tolerance as the kernels take it: one number, or one for each sample."""
     if np.ndim(value) == 0:
-        return _as_height("max_error", value), None
-    tolerance = np.asarray(value)
-    if tolerance.dtype.kind not in "fiu":
-        raise TypeError(f"max_error must hold numbers, got an array of {tolerance.dtype}")
-    if tolerance.shape != grid.shape:
-        raise ValueError(
-            f"max_error must be a number or have the grid's shape {grid.shape}, "
-            f"got an array of shape {tolerance.shape}"
-        )
-    bad = ~(tolerance >= 0.0) & ~np.isnan(grid.heights)
-    if bad.any():
-        row, col = np.argwhere(bad)[0]
-        raise ValueError(
-            "max_error must be zero or more, in the raster's height units, "
-            f"got {tolerance[row, col]} at row {row}, column {col}"
-        )
-    return 0.0, np.ascontiguousarray(tolerance, np.float64)
+        return as_height("max_error", value), None
+    return 0.0, as_tolerance_map(grid, "max_error", value)
 
 
 def _as_mask(grid: Grid, name: str, value: ArrayLike) -> _Mask:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._adjacency import twins_of
-from rtin._number import as_number
+from rtin._options import as_height, as_tolerance_map, the_only_option
 from rtin.grid import Grid, require_grid
 from rtin.mesh import TriangleMesh, require_mesh
 
@@ -173,21 +173,16 @@ def refine_to(
     Raises
     ------
     ValueError
-        If not exactly one criterion is given, it is negative or not finite (in an array, samples
-        may be infinite), the mesh lies beside the raster, or float64 is too coarse to come closer,
-        as may happen at ``max_error=0`` where the mesh's edges do not meet the samples.
+        If not exactly one criterion is given, it is negative or NaN, the mesh lies beside the
+        raster, or float64 is too coarse to come closer, as may happen at ``max_error=0`` where the
+        mesh's edges do not meet the samples.
     InvalidMesh, TypeError
         As ``refine`` does.
     """
     require_mesh(mesh)
     require_grid(grid)
     split = as_scheme(scheme)
-    wanted = {"threshold": threshold, "max_error": max_error}
-    given = [(name, value) for name, value in wanted.items() if value is not None]
-    if len(given) != 1:
-        got = "both" if given else "none"
-        raise ValueError(f"exactly one of threshold and max_error is wanted, got {got}")
-    name, value = given[0]
+    name, value = the_only_option(threshold=threshold, max_error=max_error)
     tolerance = _as_tolerance(name, value, grid)
     _require_overlap(mesh, grid)
     twins_of(mesh)  # for its complaints: a mesh of which nothing is refined is checked as well
@@ -275,28 +270,8 @@ def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
 def _as_tolerance(name: str, value: ArrayLike, grid: Grid) -> NDArray[np.float64]:
     """Return one number or one for each sample, in two dimensions."""
     if name == "threshold" or np.ndim(value) == 0:
-        tolerance = np.full((1, 1), as_number(name, value))
-        wrong = tolerance[~np.isfinite(tolerance) | (tolerance < 0.0)]
-        where = ""
-    else:
-        given = np.asarray(value)
-        if given.dtype.kind not in "fiu":
-            raise TypeError(f"{name} must hold numbers, got an array of {given.dtype}")
-        if given.shape != grid.shape:
-            raise ValueError(
-                f"{name} must be a number or have the grid's shape {grid.shape}, "
-                f"got an array of shape {given.shape}"
-            )
-        tolerance = np.ascontiguousarray(given, np.float64)
-        # Where there is no height, whatever is said of it counts for nothing.
-        bad = ~(tolerance >= 0.0) & ~np.isnan(grid.heights)
-        wrong = tolerance[bad]
-        where = " at row {}, column {}".format(*np.argwhere(bad)[0]) if wrong.size else ""
-    if wrong.size:
-        raise ValueError(
-            f"{name} must be zero or more, in the raster's height units, got {wrong[0]:g}{where}"
-        )
-    return tolerance
+        return np.full((1, 1), as_height(name, value))
+    return as_tolerance_map(grid, name, value)
 
 
 def _require_overlap(mesh: TriangleMesh, grid: Grid) -> None:

@@ -1,0 +1,58 @@
+"""What the algorithms on a grid check at their doors alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin._number import as_number
+from rtin.grid import Grid
+
+__all__ = ["as_height", "as_tolerance_map", "the_only_option"]
+
+
+def the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
+    """Return name and value of the one option that is not None, or raise ValueError."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if len(given) != 1:
+        names = ", ".join(options)
+        raise ValueError(f"give exactly one of {names}; got {', '.join(given) or 'none of them'}")
+    return next(iter(given.items()))
+
+
+def as_height(name: str, value: Any) -> float:  # noqa: ANN401
+    """Return a height of zero or more as a float; raise TypeError or ValueError otherwise."""
+    height = as_number(name, value)
+    if not height >= 0.0:
+        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {height}")
+    return height
+
+
+def as_tolerance_map(grid: Grid, name: str, value: Any) -> NDArray[np.float64]:  # noqa: ANN401
+    """Return a height for each sample of the grid, zero or more where the sample has one.
+
+    Raises
+    ------
+    TypeError
+        If these are no real numbers.
+    ValueError
+        If the shape is not the grid's, or one is negative or NaN.
+    """
+    tolerance = np.asarray(value)
+    if tolerance.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold numbers, got an array of {tolerance.dtype}")
+    if tolerance.shape != grid.shape:
+        raise ValueError(
+            f"{name} must be a number or have the grid's shape {grid.shape}, "
+            f"got an array of shape {tolerance.shape}"
+        )
+    bad = ~(tolerance >= 0.0) & ~np.isnan(grid.heights)
+    if bad.any():
+        row, col = np.argwhere(bad)[0]
+        raise ValueError(
+            f"{name} must be zero or more, in the raster's height units, "
+            f"got {tolerance[row, col]} at row {row}, column {col}"
+        )
+    return np.ascontiguousarray(tolerance, np.float64)
