@@ -19,6 +19,7 @@ from rtin._kernels.refinement import (
     N_CHILDREN,
     child_of,
     mark_and_propagate,
+    owns,
     rotated,
     set_midpoint,
     side_to_bisect,
@@ -121,8 +122,7 @@ def mark_targets(state, targets, sides):
         mark = marks[triangle]
         n_children += N_CHILDREN[mark]
         for side in range(3):
-            twin = twins[triangle, side]
-            if mark >> side & 1 and (twin < 0 or twin > 3 * triangle + side):
+            if mark >> side & 1 and owns(3 * triangle + side, twins[triangle, side]):
                 n_vertices += 1
     return n_marked, n_vertices, n_children - n_marked
 
@@ -182,7 +182,7 @@ def number_midpoints(state, n_marked, corners, created):
             if cells[triangle, MARKS] >> side & 1 == 0:
                 continue
             twin = cells[triangle, TWINS + side]
-            if twin >= 0 and twin < 3 * triangle + side:
+            if not owns(3 * triangle + side, twin):
                 corners[i, 3 + side] = corners[cells[twin // 3, SCRATCH], 3 + twin % 3]
                 continue
             a, b = cells[triangle, side], cells[triangle, next_side(side)]

@@ -176,13 +176,13 @@ def mark_and_propagate(targets, sides, twins, marks, marked):
 
 
 @jit
-def owns(twins, half_edge):
+def owns(half_edge, twin):
     """Whether the midpoint of an edge counts for this triangle: the first one that has the edge.
 
-    Midpoints' numbers are kept in ``twins`` of the owner as ``-1 - number``, where boundary edges
-    have -1 already, so this holds before and after.
+    Midpoints' numbers are kept as the twin of the owner's half-edge, as ``-1 - number``. Boundary
+    edges have -1 from the start, so this holds before and after.
     """
-    return twins[half_edge] < 0 or twins[half_edge] > half_edge
+    return twin < 0 or twin > half_edge
 
 
 @jit
@@ -193,7 +193,8 @@ def count_new(marks, twins, first, end):
         mark = marks[triangle]
         n_children += N_CHILDREN[mark]
         for side in range(3):
-            if mark >> side & 1 and owns(twins, 3 * triangle + side):
+            half_edge = 3 * triangle + side
+            if mark >> side & 1 and owns(half_edge, twins[half_edge]):
                 n_vertices += 1
     return n_vertices, n_children
 
@@ -212,7 +213,7 @@ def fill_midpoints(triangles, marks, twins, first, end, number, vertices):
         mark = marks[triangle]
         for side in range(3):
             half_edge = 3 * triangle + side
-            if mark >> side & 1 and owns(twins, half_edge):
+            if mark >> side & 1 and owns(half_edge, twins[half_edge]):
                 ends = triangles[triangle, side], triangles[triangle, next_side(side)]
                 set_midpoint(vertices, number, ends[0], ends[1])
                 twins[half_edge] = -1 - number
