@@ -47,9 +47,10 @@ def _paired(mesh: TriangleMesh) -> _Numbers | None:
     """Return the twins, or None where an edge has more than one half-edge in a direction."""
     from rtin._kernels.adjacency import pair_edges
 
-    twins, earlier = np.empty((2, 3 * mesh.n_triangles), np.int32)
+    twins = np.empty(3 * mesh.n_triangles, np.int32)
+    waiting = np.empty((3 * mesh.n_triangles, 2), np.int32)
     latest = np.full(mesh.n_vertices, -1, np.int32)
     # Each task looks at all edges and keeps those of its vertices: no more tasks than threads.
     bands = _parallel.row_bands(mesh.n_vertices, most=_parallel.thread_count())
-    tasks = [(mesh.triangles, *band, latest, earlier, twins) for band in bands]
+    tasks = [(mesh.triangles, *band, latest, waiting, twins) for band in bands]
     return twins if all(_parallel.run(pair_edges, tasks)) else None

@@ -28,29 +28,28 @@ def previous_edge(half_edge):
 
 
 @jit
-def pair_edges(triangles, first_vertex, end_vertex, latest, earlier, twins):
+def pair_edges(triangles, first_vertex, end_vertex, latest, waiting, twins):
     """Write the twins of edges whose smaller vertex is in a range; False if one has a third side.
 
-    The first half-edge of each edge is kept in a list at the edge's smaller vertex: ``latest`` is
-    the list's head, ``earlier`` leads on from each half-edge, -1 ends it.
+    The first half-edge of each edge waits in a list at the edge's smaller vertex. ``latest`` is the
+    head of the list; ``waiting`` has, for each half-edge, the one before it (-1 ends the list), and
+    the larger vertex if it runs there, -1 minus that if it comes from there.
     """
     for triangle in range(triangles.shape[0]):
         for side in range(3):
             start, end = triangles[triangle, side], triangles[triangle, next_side(side)]
-            low = min(start, end)
+            low, along, against = start, end, -1 - end
+            if end < start:
+                low, along, against = end, -1 - start, start
             if low < first_vertex or low >= end_vertex:
                 continue
-            half_edge = 3 * triangle + side
-            other = latest[low]
-            while other >= 0:
-                other_start = triangles[other // 3, other % 3]
-                if other_start + triangles[other // 3, next_side(other % 3)] == start + end:
-                    break
-                other = earlier[other]
+            half_edge, other = 3 * triangle + side, latest[low]
+            while other >= 0 and waiting[other, 1] != against and waiting[other, 1] != along:
+                other = waiting[other, 0]
             if other < 0:
-                earlier[half_edge], latest[low] = latest[low], half_edge
-                twins[half_edge] = -1
-            elif other_start == start or twins[other] >= 0:
+                waiting[half_edge, 0], waiting[half_edge, 1] = latest[low], along
+                latest[low], twins[half_edge] = half_edge, -1
+            elif waiting[other, 1] == along or twins[other] >= 0:
                 return False
             else:
                 twins[half_edge], twins[other] = other, half_edge
