@@ -846,7 +846,7 @@ def test_of_two_triangles_that_are_too_small_the_first_is_named(between):
 
 
 def test_refuses_more_triangles_than_can_be_numbered(monkeypatch):
-    monkeypatch.setattr("rtin.refinement._MOST_TRIANGLES", 9)
+    monkeypatch.setattr("rtin._adjacency.MOST_TRIANGLES", 9)
     assert rtin.refine(SQUARE, [0, 1]).n_triangles == 8
     with pytest.raises(ValueError, match=r"at most 9 triangles .* would have 32; mark fewer"):
         rtin.refine(rtin.refine(SQUARE, [0, 1]), range(8))

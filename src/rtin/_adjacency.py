@@ -8,9 +8,20 @@ from numpy.typing import NDArray
 from rtin import _parallel, validity
 from rtin.mesh import TriangleMesh
 
-__all__ = ["twins_of"]
+__all__ = ["MOST_TRIANGLES", "require_numbers", "twins_of"]
 
 _Numbers = NDArray[np.int32]
+
+MOST_TRIANGLES = np.iinfo(np.int32).max // 3  # whose half-edges 32 bits can number
+
+
+def require_numbers(n_triangles: int) -> None:
+    """Raise ValueError where a refined mesh would have more triangles than can be numbered."""
+    if n_triangles > MOST_TRIANGLES:
+        raise ValueError(
+            f"at most {MOST_TRIANGLES} triangles can be numbered, the refined mesh would have "
+            f"{n_triangles}; mark fewer triangles"
+        )
 
 
 def twins_of(mesh: TriangleMesh) -> _Numbers:
@@ -24,8 +35,8 @@ def twins_of(mesh: TriangleMesh) -> _Numbers:
     ValueError
         If it has 2**31 / 3 triangles or more.
     """
-    if mesh.n_triangles > np.iinfo(np.int32).max // 3:
-        raise ValueError(f"at most 715827882 triangles are wanted, got {mesh.n_triangles}")
+    if mesh.n_triangles > MOST_TRIANGLES:
+        raise ValueError(f"at most {MOST_TRIANGLES} triangles are wanted, got {mesh.n_triangles}")
     looks_right = np.isfinite(mesh.vertices).all() and _turns_left(mesh)
     twins = _paired(mesh) if looks_right else None
     if twins is None or validity.has_gaps(mesh, np.flatnonzero(twins < 0)):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtin._adjacency import twins_of
+from rtin._adjacency import require_numbers, twins_of
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh, require_mesh
 from rtin.refinement import as_heights, as_scheme, as_targets, lift, too_small_to_split
@@ -289,11 +289,7 @@ class AdaptiveMesh:
 
     def _make_room(self, n_new: int, n_added: int) -> None:
         m, n_slots, _, _ = self._state.counts.tolist()
-        if m + n_added > np.iinfo(np.int32).max // 3:
-            raise ValueError(
-                f"at most {np.iinfo(np.int32).max // 3} triangles can be numbered, the refined "
-                f"mesh would have {m + n_added}; mark fewer triangles"
-            )
+        require_numbers(m + n_added)
         state = self._state
         self._state = state._replace(
             vertices=_grown(state.vertices, n_slots + n_new),

@@ -231,9 +231,10 @@ def refine(
         max_error=max_error,
         threshold=threshold,
     )
-    if dem is None and {"max_error", "threshold"} & asked.keys():
+    is_fit = bool({"max_error", "threshold"} & asked.keys())
+    if dem is None and is_fit:
         raise typer.BadParameter(f"{_flag(next(iter(asked)))} wants a raster to fit: --dem DEM")
-    scheme = scheme or ("bisection" if {"max_error", "threshold"} & asked.keys() else "4T-LE")
+    scheme = scheme or ("bisection" if is_fit else "4T-LE")
     if times > 1 and where is None:
         raise typer.BadParameter("--times goes with --where; for all triangles there is --uniform")
     _require_positive("--z-scale", z_scale)
@@ -265,7 +266,7 @@ def refine(
         placed = placement_of(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
         nothing = "no triangle was chosen: the mesh is as before"
         summary["notes"] = [
-            *([nothing] if refined is mesh or refined.n_triangles == mesh.n_triangles else []),
+            *([nothing] if refined.n_triangles == mesh.n_triangles else []),
             *filter(None, [placed.note]),
             *_doubts_about(mesh, grid),
         ]
@@ -604,10 +605,13 @@ def _require_positive(flag: str, value: float | None) -> None:
 
 def _require_numbers_for(n_triangles: int, n_times: int, scheme: str) -> None:
     """Refuse to refine so often that the triangles, at least so many, can't be numbered."""
-    n_children, most = 2 if scheme == "bisection" else 4, 2**31 // 3
-    if n_triangles * n_children ** min(n_times, 40) > most:
+    from rtin._adjacency import MOST_TRIANGLES
+
+    n_children = 2 if scheme == "bisection" else 4
+    if n_triangles * n_children ** min(n_times, 40) > MOST_TRIANGLES:
         raise typer.BadParameter(
-            f"--uniform {n_times} would make more than the {most} triangles that can be numbered"
+            f"--uniform {n_times} would make more than the {MOST_TRIANGLES} triangles "
+            "that can be numbered"
         )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin.grid import Grid, lattice_size, require_grid
-from rtin.mesh import TriangleMesh
+from rtin.mesh import TriangleMesh, require_mesh
 
 __all__ = ["VerticalError", "vertex_errors", "vertical_error"]
 
@@ -113,8 +113,7 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
         If the mesh covers no valid sample: it lies elsewhere.
     """
     require_grid(grid)
-    if not isinstance(mesh, TriangleMesh):
-        raise TypeError(f"a TriangleMesh is wanted, got {type(mesh).__name__}")
+    require_mesh(mesh)
     parts = _parallel.run(_statistics_of_band, _bands_of(mesh, grid))
     n_samples, n_uncovered = (sum(part[i] for part in parts) for i in (0, 1))
     total, total_of_squares = (sum(part[i] for part in parts) for i in (2, 3))

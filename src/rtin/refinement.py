@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin._adjacency import twins_of
+from rtin._adjacency import require_numbers, twins_of
+from rtin._distinct import distinct
 from rtin._options import as_height, as_tolerance_map, the_only_option
 from rtin.grid import Grid, require_grid
 from rtin.mesh import TriangleMesh, require_mesh
@@ -42,7 +43,6 @@ Criterion: TypeAlias = Callable[[TriangleMesh], ArrayLike]
 _Mask = NDArray[np.bool_]
 _Bands: TypeAlias = list[tuple[int, int]]
 
-_MOST_TRIANGLES = np.iinfo(np.int32).max // 3
 _ROUNDED = 1e-3  # cells that rounding may have moved a vertex by
 _SHORTEST_EDGE = 1.5  # cells; a hair more than the longest edge between samples of one cell
 
@@ -218,10 +218,7 @@ def as_targets(targets: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
     Raises what ``require_triangles`` raises.
     """
     numbers = require_triangles(targets, n_triangles)
-    if (np.diff(numbers) > 0).all():
-        return numbers
-    ordered = np.sort(numbers)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
+    return numbers if (np.diff(numbers) > 0).all() else distinct(numbers)
 
 
 def require_triangles(given: ArrayLike, n_triangles: int) -> NDArray[np.int64]:
@@ -360,11 +357,7 @@ def _counted(
 
     counts = _parallel.run(count_new, [(marks, twins, *band) for band in bands])
     before = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
-    if before[-1].max() > _MOST_TRIANGLES:
-        raise ValueError(
-            f"at most {_MOST_TRIANGLES} triangles can be numbered, the refined mesh would have "
-            f"{before[-1, 1]}; mark fewer triangles"
-        )
+    require_numbers(int(before[-1, 1]))
     return before
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin._distinct import distinct
 from rtin._edges import directed_edges, edge_ends, undirected_keys
 from rtin.mesh import TriangleMesh, require_mesh
 
@@ -70,7 +71,7 @@ def has_gaps(mesh: TriangleMesh, boundary: _Numbers) -> bool:
     triangles = mesh.triangles[owners]
     ends = np.column_stack([mesh.triangles[owners, sides], mesh.triangles[owners, (sides + 1) % 3]])
     places = mesh.vertices[:, :2]
-    rim = places[_distinct(ends.ravel())]
+    rim = places[distinct(ends.ravel())]
     rim = rim[np.lexsort(rim.T)]
     repeated = bool((np.diff(rim, axis=0) == 0.0).all(axis=1).any())
     return repeated or len(_hanging(places, ends.astype(np.int64), triangles)) > 0
@@ -327,12 +328,12 @@ def _vertices_near(places: _Places, ends: _Numbers) -> tuple[_Numbers, _Numbers]
     share = (stop / (n_stops[edge] - 1).clip(1))[:, np.newaxis]
     stops = tails[edge] + share * (heads - tails)[edge]
     corner = places[ends].min(axis=(0, 1))
-    vertices = _distinct(ends.ravel())
+    vertices = distinct(ends.ravel())
     bin_of = _bins((places[vertices] - corner) / width)
     order = np.argsort(bin_of, kind="stable")
     bins, first, counts = np.unique(bin_of[order], return_index=True, return_counts=True)
     reach = 0.26 * width
-    visits = _distinct(
+    visits = distinct(
         np.concatenate(
             [
                 _visits(edge, _bins((stops - corner + (dx, dy)) / width), bins)
@@ -344,12 +345,6 @@ def _vertices_near(places: _Places, ends: _Numbers) -> tuple[_Numbers, _Numbers]
     edge, filled_bin = np.divmod(visits, len(bins))
     visit, offset = _counted_out(counts[filled_bin])
     return edge[visit], vertices[order[first[filled_bin][visit] + offset]]
-
-
-def _distinct(numbers: _Numbers) -> _Numbers:
-    """Return each number once, ascending; in a third of the time that ``np.unique`` hashes for."""
-    ordered = np.sort(numbers)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
 
 
 def _visits(edge: _Numbers, wanted: _Numbers, bins: _Numbers) -> _Numbers:

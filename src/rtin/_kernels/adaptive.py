@@ -18,6 +18,7 @@ from rtin._kernels.refinement import (
     DEPTH,
     N_CHILDREN,
     child_of,
+    gather,
     mark_and_propagate,
     owns,
     rotated,
@@ -189,13 +190,6 @@ def number_midpoints(state, n_marked, corners, created):
             vertex = new_vertex(state.counts, state.vertices, state.nodes, a, b)
             created[n_created] = corners[i, 3 + side] = vertex
             n_created += 1
-
-
-@jit
-def gather(vertices, corners, x, y):
-    """Put the places of vertices side by side."""
-    for label in range(corners.size):
-        x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
 
 
 @jit

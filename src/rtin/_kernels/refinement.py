@@ -55,6 +55,13 @@ DEPTH[7] = 2
 
 
 @jit
+def gather(vertices, corners, x, y):
+    """Put the places of vertices side by side."""
+    for label in range(corners.size):
+        x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
+
+
+@jit
 def squared_length(x, y, a, b):
     """Of the edge from a to b."""
     east, north = x[b] - x[a], y[b] - y[a]
@@ -120,8 +127,7 @@ def put_longest_sides_first(vertices, triangles):
     """Turn triangles counter-clockwise and rotate them until side 0 is the longest, in place."""
     x, y = np.empty(3), np.empty(3)
     for corners in triangles:
-        for corner in range(3):
-            x[corner], y[corner] = vertices[corners[corner], 0], vertices[corners[corner], 1]
+        gather(vertices, corners, x, y)
         a, b, c = 0, 1, 2
         if turn(x, y, a, b, c) < 0.0:
             a, c = c, a
@@ -258,8 +264,7 @@ def fill_children(triangles, marks, twins, scheme, first, end, vertices, at, chi
             corners[side] = corners[3 + side] = triangles[triangle, side]
             if mark >> side & 1:
                 corners[3 + side] = midpoint_of(twins, 3 * triangle + side)
-        for label in range(6):
-            x[label], y[label] = vertices[corners[label], 0], vertices[corners[label], 1]
+        gather(vertices, corners, x, y)
         for child in range(N_CHILDREN[mark]):
             a, b, c = child_of(x, y, scheme, mark, child)
             if too_small < 0 and not has_area(x[a], y[a], x[b], y[b], x[c], y[c]):
