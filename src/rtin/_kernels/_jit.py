@@ -83,7 +83,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     return _compiled(function, forceinline=True)
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:  # noqa: ANN401
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     if _CACHE_FOLDER is None:
         return numba.njit(nogil=True, **options)(function)
     before = config.CACHE_DIR
