@@ -109,7 +109,13 @@ def hypotenuse(row, col, spacing, direction):
     With the apex they go round the triangle in the same sense for all triangles: (a, b, apex) is
     counter-clockwise where rows run south and columns run east.
     """
-    if is_centre(row, col, spacing):
+    return hypotenuse_of(row, col, spacing, direction, is_centre(row, col, spacing))
+
+
+@jit
+def hypotenuse_of(row, col, spacing, direction, along_axis):
+    """The same for a triangle that need not be one of the hierarchy."""
+    if along_axis:
         row_step, col_step = axis_direction_of(direction)
         mid_row, mid_col = row + spacing * row_step, col + spacing * col_step
         return (
@@ -143,7 +149,13 @@ def row_spans(row, col, spacing, direction):
     On the row i rows from the apex they are the columns left + i * left step to
     right + i * right step, both included.
     """
-    if is_centre(row, col, spacing):
+    return row_spans_of(row, col, spacing, direction, is_centre(row, col, spacing))
+
+
+@jit
+def row_spans_of(row, col, spacing, direction, along_axis):
+    """The same for a triangle that need not be one of the hierarchy."""
+    if along_axis:
         row_step, col_step = axis_direction_of(direction)
         if row_step != 0:
             first = min(row, row + spacing * row_step)
