@@ -1,4 +1,4 @@
-"""Arithmetic of the coarsening: which samples fit, what a kept vertex entails, the mesh of it.
+"""Arithmetic of the coarsening: what a triangle that does not fit entails, and the mesh of it.
 
 ``kept`` holds a byte for each sample of the lattice, not 0 where the vertex is kept. Two rules say
 which vertices the least mesh keeps, and no others:
@@ -7,6 +7,10 @@ which vertices the least mesh keeps, and no others:
     criterion   a kept apex whose triangle does not fit keeps the midpoint of its hypotenuse
 
 They only ever add, so any order, and any split of the rows among threads, ends in the same mesh.
+
+Where squares may be swapped, ``swapped`` holds a byte for each sample, not 0 where the square around
+it goes over to its other diagonal unless the vertex itself is kept; else it is None. The criterion is
+then weaker wherever the other diagonal fits: it keeps both apexes of the midpoint instead.
 """
 
 import heapq
@@ -15,7 +19,14 @@ import numpy as np
 
 from rtin._kernels._jit import jit
 from rtin._kernels.criteria import row_errors
+from rtin._kernels.diagonals import (
+    is_on_other_diagonal,
+    is_swapped,
+    other_diagonal_error,
+    remedy,
+)
 from rtin._kernels.lattice import (
+    SQUARE,
     VERTEX,
     apexes,
     direction_of,
@@ -60,7 +71,7 @@ def is_open(kept, first_row, end_row, row, col):
 
 @jit
 def push_apexes(kept, first_row, end_row, row, col, stack, n_stack):
-    """Put both apexes of a newly kept vertex on the stack, where they are still to be kept."""
+    """Put both apexes of a vertex on the stack, where they are still to be kept."""
     p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
     if is_open(kept, first_row, end_row, p_row, p_col):
         stack[n_stack] = packed(p_row, p_col, VERTEX)
@@ -72,14 +83,33 @@ def push_apexes(kept, first_row, end_row, row, col, stack, n_stack):
 
 
 @jit
+def mark(kept, swapped, row, col, kind):
+    """Note that a vertex is kept, or that the square around it is swapped."""
+    if swapped is not None and kind == SQUARE:
+        swapped[row, col] = 1
+    else:
+        kept[row, col] = 1
+
+
+@jit
 def settle(
-    heights, is_complete, max_error, tolerance, kept, first_row, end_row, finest, remembers, work
+    heights,
+    is_complete,
+    max_error,
+    tolerance,
+    kept,
+    swapped,
+    first_row,
+    end_row,
+    finest,
+    remembers,
+    work,
 ):
     """Apply both rules to the rows first_row to end_row until nothing changes there.
 
-    ``work`` lists triangles to test and vertices to keep. Returns the vertices to keep that lie in
-    other rows; the triangles whose apex has a spacing below ``finest``, left untested; and, where
-    it ``remembers``, the triangles that fit.
+    ``work`` lists triangles to test, vertices to keep and squares to swap. Returns those of the
+    latter two that lie in other rows; the triangles whose apex has a spacing below ``finest``, left
+    untested; and, where it ``remembers``, the triangles that fit.
     """
     stack, n_stack = np.empty(work.size + 64, np.int64), work.size
     stack[:n_stack] = work
@@ -90,17 +120,19 @@ def settle(
         n_stack -= 1
         row, col, first = unpacked(stack[n_stack])
         end = first + 1
-        if first == VERTEX:
+        if first >= VERTEX:
             if not first_row <= row < end_row:
                 elsewhere = with_room(elsewhere, n_elsewhere + 1)
-                elsewhere[n_elsewhere] = packed(row, col, VERTEX)
+                elsewhere[n_elsewhere] = stack[n_stack]
                 n_elsewhere += 1
                 continue
             if kept[row, col] != 0:
                 continue
-            kept[row, col] = 1
+            mark(kept, swapped, row, col, first)
             stack = with_room(stack, n_stack + 6)
             n_stack = push_apexes(kept, first_row, end_row, row, col, stack, n_stack)
+            if first == SQUARE:
+                continue
             first, end = 0, 4
         spacing = spacing_of(row, col)
         if is_unit(row, col, spacing):
@@ -117,6 +149,8 @@ def settle(
             mid_row, mid_col = midpoint(row, col, spacing, direction)
             if not is_open(kept, first_row, end_row, mid_row, mid_col):
                 continue
+            if is_swapped(swapped, first_row, end_row, mid_row, mid_col):
+                continue
             # One call that holds these three took 15 ns more for each triangle than its answer.
             fails = midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction)
             if not fails and not is_complete:
@@ -128,7 +162,8 @@ def settle(
                     heights, max_error, tolerance, row, col, spacing, direction, along_axis
                 )
             if fails:
-                stack[n_stack] = packed(mid_row, mid_col, VERTEX)
+                kind = remedy(heights, max_error, tolerance, swapped, mid_row, mid_col)
+                stack[n_stack] = packed(mid_row, mid_col, kind)
                 n_stack += 1
             elif remembers:
                 fitting = with_room(fitting, n_fitting + 1)
@@ -220,9 +255,8 @@ def keep_by_mask(mask, kept, first_row, end_row):
 
 
 @jit
-def keep_with_closure(kept, item, stack, added, n_added):
-    """Keep a vertex and all it needs; append each new one to ``added``."""
-    stack[0], n_stack = item, 1
+def keep_with_closure(kept, stack, n_stack, added, n_added):
+    """Keep the vertices on the stack and all they need; append each new one to ``added``."""
     while n_stack > 0:
         n_stack -= 1
         row, col, _ = unpacked(stack[n_stack])
@@ -270,14 +304,39 @@ def push_triangles(heap, heights, kept, row, col):
 
 
 @jit
+def swap_instead(heights, swapped, heap, row, col, error):
+    """Swap the square around a vertex if its other diagonal has less error; say whether it has.
+
+    The heap gets the vertex, to be kept when that error is too much as well.
+    """
+    if swapped is None:
+        return False
+    other_error = other_diagonal_error(heights, row, col, error)
+    if other_error == np.inf:
+        return False
+    swapped[row, col] = 1
+    if other_error > 0.0:
+        heapq.heappush(heap, (-other_error, packed(row, col, VERTEX)))
+    return True
+
+
+@jit
+def undo(marks, items):
+    """Take back the marks of some vertices."""
+    for item in items:
+        row, col, _ = unpacked(item)
+        marks[row, col] = 0
+
+
+@jit
 def split_worst_first(
-    heights, kept, apex_items, n_vertices, n_triangles, max_vertices, max_triangles
+    heights, kept, swapped, apex_items, n_vertices, n_triangles, max_vertices, max_triangles
 ):
-    """Split the worst triangle again and again while the budgets last.
+    """Split the worst triangle, or swap its square, again and again while the budgets last.
 
     ``apex_items`` lists the kept vertices, ``n_vertices`` and ``n_triangles`` count their mesh.
     The mesh is one of the least ones whenever the worst triangle left is better than all split
-    before; ``kept`` is left at the last such mesh within the budgets.
+    before; ``kept`` and ``swapped`` are left at the last such mesh within the budgets.
     """
     n_rows, n_cols = heights.shape
     heap = [(0.0, np.int64(0))]
@@ -287,18 +346,27 @@ def split_worst_first(
         push_triangles(heap, heights, kept, row, col)
     stack = np.empty(256, np.int64)
     added, n_added, n_least = np.empty(1024, np.int64), 0, 0
+    turned, n_turned, n_least_turned = np.empty(64, np.int64), 0, 0
     reached = np.inf
     while len(heap) > 0:
         error, item = heapq.heappop(heap)
         row, col, direction = unpacked(item)
-        mid_row, mid_col = midpoint(row, col, spacing_of(row, col), direction)
-        if kept[mid_row, mid_col] != 0:
+        if direction != VERTEX:
+            row, col = midpoint(row, col, spacing_of(row, col), direction)
+            if is_swapped(swapped, 0, len(kept), row, col):
+                continue
+        if kept[row, col] != 0:
             continue
         if -error < reached:
-            reached, n_least = -error, n_added
+            reached, n_least, n_least_turned = -error, n_added, n_turned
         first_new = n_added
-        midpoint_item = packed(mid_row, mid_col, VERTEX)
-        added, n_added = keep_with_closure(kept, midpoint_item, stack, added, n_added)
+        stack[0], n_stack = packed(row, col, VERTEX), 1
+        if direction != VERTEX and swap_instead(heights, swapped, heap, row, col, -error):
+            turned = with_room(turned, n_turned + 1)
+            turned[n_turned] = stack[0]
+            n_turned += 1
+            n_stack = push_apexes(kept, 0, len(kept), row, col, stack, 0)
+        added, n_added = keep_with_closure(kept, stack, n_stack, added, n_added)
         for i in range(first_new, n_added):
             row, col, _ = unpacked(added[i])
             n_triangles += triangles_gained(row, col, n_rows, n_cols)
@@ -309,10 +377,10 @@ def split_worst_first(
             row, col, _ = unpacked(added[i])
             push_triangles(heap, heights, kept, row, col)
     else:
-        n_least = n_added
-    for i in range(n_least, n_added):
-        row, col, _ = unpacked(added[i])
-        kept[row, col] = 0
+        n_least, n_least_turned = n_added, n_turned
+    undo(kept, added[n_least:n_added])
+    if swapped is not None:
+        undo(swapped, turned[n_least_turned:n_turned])
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------
@@ -438,9 +506,22 @@ def vertex_number(kept, in_mesh, in_word, row, col):
 
 @jit
 def fill_triangles(
-    heights, kept, words, in_mesh, first_row, end_row, first_triangle, in_word, flip, triangles
+    heights,
+    kept,
+    words,
+    in_mesh,
+    swapped,
+    first_row,
+    end_row,
+    first_triangle,
+    in_word,
+    flip,
+    triangles,
 ):
-    """Write the triangles whose apex lies in some rows: hypotenuse first, apex last."""
+    """Write the triangles whose apex lies in some rows: hypotenuse first, apex last.
+
+    In place of a triangle (a, b, apex) of a swapped square stands (apex, opposite apex, b).
+    """
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         number = first_triangle[row]
@@ -459,7 +540,12 @@ def fill_triangles(
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
                         a = vertex_number(kept, in_mesh, in_word, a_row, a_col)
                         b = vertex_number(kept, in_mesh, in_word, b_row, b_col)
+                        c = apex
+                        if is_on_other_diagonal(kept, swapped, row, col, spacing, direction):
+                            opposite_row, opposite_col = a_row + b_row - row, a_col + b_col - col
+                            a, c = apex, b
+                            b = vertex_number(kept, in_mesh, in_word, opposite_row, opposite_col)
                         triangles[number, 0] = b if flip else a
                         triangles[number, 1] = a if flip else b
-                        triangles[number, 2] = apex
+                        triangles[number, 2] = c
                         number += 1

@@ -18,16 +18,17 @@ and the apex alone tells its size::
 
 The corners (0, size) and (size, 0) of the lattice act as edge vertices of spacing ``size``: their
 one triangle inside the lattice is a root. ``packed`` stores a triangle as one integer: row and
-column of its apex, and its direction; direction 4 means the vertex itself.
+column of its apex, and its direction; direction 4 means the vertex itself, 5 the square of the two
+triangles whose hypotenuse it bisects.
 """
 
 from rtin._kernels._jit import jit
 
-VERTEX = 4
+VERTEX, SQUARE = 4, 5
 
 
 def pack(row, col, direction):
-    """One integer for a triangle, or for a vertex where the direction is ``VERTEX``; arrays too."""
+    """One integer for a triangle, or a vertex or square where the direction says so; arrays too."""
     return (row << 34) | (col << 3) | direction
 
 
