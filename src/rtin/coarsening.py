@@ -82,36 +82,37 @@ def coarsen(
         Vertices to keep whatever the criterion says: peaks, ridges, coastlines. Samples without a
         height, and those of which no finest triangle is whole, can't be kept.
     diagonals : {"lattice", "best"}, optional
-        Which diagonal the two triangles get that share their hypotenuse, and so make a square:
-        always the lattice's, or for each square either one. "best" widens the family of meshes:
+        Where two triangles share their hypotenuse they make a square, upright or rotated by 45
+        degrees, and may share its other diagonal instead. "lattice" never does that. "best" does it
+        for each square by itself, in the wider family of meshes that this makes:
 
-        - ``max_error``: the least mesh of the wider family that keeps the promise, so never more
-          vertices than with "lattice": all of them are among those. A square changes its diagonal
-          only where the lattice's does not fit.
-        - ``max_vertices``, ``max_triangles``: the wider family's mesh of the smallest ``max_error``.
-        - ``threshold``, ``removable``: the same vertices as with "lattice"; afterwards each square
-          gets the diagonal with the smaller sum of squared errors, the lattice's where they are
-          equal. Its largest error may rise.
+        - ``max_error``: the promise is the same, and no mesh of the wider family that keeps it has
+          fewer vertices; they are among those of the "lattice" mesh.
+        - ``max_vertices``, ``max_triangles``: the mesh of the smallest such ``max_error``.
+        - ``threshold``, ``removable``: the vertices of the "lattice" mesh.
 
-        Squares on the border of the raster's valid samples have one diagonal only where the other
-        would leave them. The two triangles of a changed square stand where its lattice triangles
-        would, each turned by a quarter about the square's centre.
+        Of the diagonals within the tolerance (both, where there is none) each square then has the
+        one with the smaller sum of squared errors at its samples, the lattice's where they are
+        equal. *Not promised*: a smaller largest error than with "lattice" where no ``max_error`` is
+        given, and the least squared error over all meshes of as many vertices.
 
     Returns
     -------
     TriangleMesh
         Vertices in row-major order of their samples, with the raster's heights unchanged;
-        triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
-        bytes on any number of threads.
+        triangles counter-clockwise from above, their hypotenuse on the lattice first, in row-major
+        order of their apexes; those of a square on its other diagonal stand where the two others
+        would, each turned by a quarter about the square's middle. The same bytes on any number of
+        threads.
 
     Raises
     ------
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; ``diagonals`` is unknown; a tolerance is negative, or NaN where
-        there is a height; an array is not of the grid's shape; a budget is too small for the
-        grid's outline; or the grid has no finest triangle with three heights.
+        If none or several of the five options are given; ``diagonals`` is unknown; a tolerance is
+        negative, or NaN where there is a height; an array is not of the grid's shape; a budget is
+        too small for the grid's outline; or the grid has no finest triangle with three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
@@ -124,17 +125,17 @@ def coarsen(
         removable=removable,
     )
     required = None if keep is None else _as_mask(grid, "keep", keep)
-    swapped = _no_swaps(grid, diagonals)
+    swapped, tolerance = _no_swaps(grid, diagonals), _NO_LIMIT
     if name == "max_error":
-        kept = _least_mesh(grid, _as_tolerance(grid, value), required, swapped)
+        tolerance = _as_tolerance(grid, value)
+        kept = _least_mesh(grid, tolerance, required, swapped)
     elif name == "threshold":
         kept = _above_threshold(grid, as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
-        kept = _within_budget(grid, name, _as_count(name, value), required, swapped)
-    if name in ("threshold", "removable"):
-        _choose_diagonals(grid, kept, swapped)
+        kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
+    _choose_diagonals(grid, kept, swapped, tolerance)
     return _mesh_of(grid, kept, swapped)
 
 
@@ -216,7 +217,8 @@ def _unmarked(grid: Grid, removable: _Mask, required: _Mask | None) -> _Kept:
 
 def _within_budget(
     grid: Grid, name: str, budget: int, required: _Mask | None, swapped: _Swapped
-) -> _Kept:
+) -> tuple[_Kept, _Tolerance]:
+    """Return the closed set of a budget's mesh, and the tolerance of which it is the least one."""
     from rtin._kernels.coarsening import split_worst_first
     from rtin._kernels.lattice import VERTEX, pack
 
@@ -235,10 +237,10 @@ def _within_budget(
         max_triangles = budget
     rows, cols = np.nonzero(kept[: grid.shape[0], : grid.shape[1]])
     items = pack(rows, cols, VERTEX)
-    split_worst_first(
+    reached = split_worst_first(
         grid.heights, kept, swapped, items, n_vertices, n_triangles, max_vertices, max_triangles
     )
-    return kept
+    return kept, (reached, None)
 
 
 # --- the two rules ------------------------------------------------------------------------------
@@ -302,12 +304,12 @@ def _no_swaps(grid: Grid, diagonals: str) -> _Swapped:
     return None if diagonals == "lattice" else _lattice_bytes(grid)
 
 
-def _choose_diagonals(grid: Grid, kept: _Kept, swapped: _Swapped) -> None:
-    """Swap the squares that are closer to their samples, in the mean, on the other diagonal."""
+def _choose_diagonals(grid: Grid, kept: _Kept, swapped: _Swapped, tolerance: _Tolerance) -> None:
+    """Swap the squares that fit on both diagonals and have less squared error on the other one."""
     from rtin._kernels.diagonals import choose_diagonals
 
     if swapped is not None:
-        shared = (grid.heights, kept, _words(kept), swapped)
+        shared = (grid.heights, *tolerance, kept, _words(kept), swapped)
         bands = _parallel.row_bands(grid.shape[0])
         _parallel.run(choose_diagonals, [(*shared, *band) for band in bands])
 

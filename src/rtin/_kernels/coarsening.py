@@ -8,9 +8,9 @@ which vertices the least mesh keeps, and no others:
 
 They only ever add, so any order, and any split of the rows among threads, ends in the same mesh.
 
-Where squares may be swapped, ``swapped`` holds a byte for each sample, not 0 where the square around
-it goes over to its other diagonal unless the vertex itself is kept; else it is None. The criterion is
-then weaker wherever the other diagonal fits: it keeps both apexes of the midpoint instead.
+Where squares may be swapped, the criterion is weaker: where the other diagonal fits, it keeps both
+apexes of the midpoint only. ``swapped`` then holds a byte for each sample, not 0 where the square
+around it takes its other diagonal unless the vertex is kept in the end; else it is None.
 """
 
 import heapq
@@ -336,7 +336,8 @@ def split_worst_first(
 
     ``apex_items`` lists the kept vertices, ``n_vertices`` and ``n_triangles`` count their mesh.
     The mesh is one of the least ones whenever the worst triangle left is better than all split
-    before; ``kept`` and ``swapped`` are left at the last such mesh within the budgets.
+    before; ``kept`` and ``swapped`` are left at the last such mesh within the budgets. Returns the
+    tolerance of which it is the least mesh.
     """
     n_rows, n_cols = heights.shape
     heap = [(0.0, np.int64(0))]
@@ -377,10 +378,11 @@ def split_worst_first(
             row, col, _ = unpacked(added[i])
             push_triangles(heap, heights, kept, row, col)
     else:
-        n_least, n_least_turned = n_added, n_turned
+        reached, n_least, n_least_turned = 0.0, n_added, n_turned
     undo(kept, added[n_least:n_added])
     if swapped is not None:
         undo(swapped, turned[n_least_turned:n_turned])
+    return reached
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------

@@ -59,17 +59,11 @@ def triangle_of_square(row, col, spacing, direction):
 
 
 @jit
-def is_within(heights, row, col, spacing):
-    """Whether a square lies inside the raster."""
-    n_rows, n_cols = heights.shape
-    return spacing <= row < n_rows - spacing and spacing <= col < n_cols - spacing
-
-
-@jit
 def other_diagonal_fails(heights, max_error, tolerance, row, col):
-    """Whether a triangle on the other diagonal of a square has a sample void or out of tolerance."""
+    """Whether a square leaves the raster, or has a void, or its other diagonal does not fit."""
     spacing = spacing_of(row, col)
-    if not is_within(heights, row, col, spacing):
+    n_rows, n_cols = heights.shape
+    if not (spacing <= row < n_rows - spacing and spacing <= col < n_cols - spacing):
         return True
     p_row, p_col, q_row, q_col = apexes(row, col, spacing)
     between = (np.float64(heights[p_row, p_col]) + heights[q_row, q_col]) / 2
@@ -130,7 +124,7 @@ def is_on_other_diagonal(kept, swapped, row, col, spacing, direction):
     return kept[mid_row, mid_col] == 0 and swapped[mid_row, mid_col] != 0
 
 
-# --- diagonals for squared errors ---------------------------------------------------------------
+# --- the smaller squared error ------------------------------------------------------------------
 
 
 @jit
@@ -160,8 +154,8 @@ def squared_error(heights, row, col, spacing, direction, along_axis):
 
 
 @jit
-def diagonal_squared_error(heights, row, col, spacing, first):
-    """Sum of the squared errors of a square's samples, its first triangle looking that way."""
+def square_squared_error(heights, row, col, spacing, first):
+    """Sum of the squared errors of a square's samples, where its first triangle looks that way."""
     total = 0.0
     for direction in (first, 3 - first):
         apex_row, apex_col, legs, along_axis = triangle_of_square(row, col, spacing, direction)
@@ -171,12 +165,11 @@ def diagonal_squared_error(heights, row, col, spacing, first):
 
 @jit
 def other_diagonal_is_closer(heights, row, col):
-    """Whether a square inside the raster has the smaller squared error on its other diagonal."""
+    """Whether a square without voids has the smaller squared error on its other diagonal."""
     spacing = spacing_of(row, col)
     own, other = directions_of_square(row, col, spacing)
-    return diagonal_squared_error(heights, row, col, spacing, other) < diagonal_squared_error(
-        heights, row, col, spacing, own
-    )
+    before = square_squared_error(heights, row, col, spacing, own)
+    return square_squared_error(heights, row, col, spacing, other) < before
 
 
 @jit
@@ -192,8 +185,8 @@ def is_first_of_square(kept, row, col, mid_row, mid_col):
 
 
 @jit
-def choose_diagonals(heights, kept, words, swapped, first_row, end_row):
-    """Mark the squares that are closer to their samples on the other diagonal.
+def choose_diagonals(heights, max_error, tolerance, kept, words, swapped, first_row, end_row):
+    """Swap the squares that are closer to their samples on the other diagonal, and fit there.
 
     Does those whose first apex lies in some rows; two bands never write to the same square.
     """
@@ -208,9 +201,12 @@ def choose_diagonals(heights, kept, words, swapped, first_row, end_row):
                     continue
                 for direction in range(4):
                     mid_row, mid_col = midpoint(row, col, spacing, direction)
-                    if is_first_of_square(kept, row, col, mid_row, mid_col) and is_within(
-                        heights, mid_row, mid_col, spacing_of(mid_row, mid_col)
-                    ):
-                        swapped[mid_row, mid_col] = other_diagonal_is_closer(
-                            heights, mid_row, mid_col
+                    if (
+                        is_first_of_square(kept, row, col, mid_row, mid_col)
+                        and swapped[mid_row, mid_col] == 0
+                        and not other_diagonal_fails(
+                            heights, max_error, tolerance, mid_row, mid_col
                         )
+                        and other_diagonal_is_closer(heights, mid_row, mid_col)
+                    ):
+                        swapped[mid_row, mid_col] = 1
