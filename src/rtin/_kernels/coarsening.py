@@ -305,7 +305,7 @@ def push_triangles(heap, heights, kept, row, col):
 
 @jit
 def swap_instead(heights, swapped, heap, row, col, error):
-    """Swap the square around a vertex if its other diagonal has less error; say whether it has.
+    """Swap the square around a vertex if its other diagonal has no more error; say whether it has.
 
     The heap gets the vertex, to be kept when that error is too much as well.
     """

@@ -81,9 +81,9 @@ def other_diagonal_fails(heights, max_error, tolerance, row, col):
 
 
 @jit
-def other_diagonal_error(heights, row, col, below):
-    """Largest error on the other diagonal of a square; inf where it is not less than ``below``."""
-    if other_diagonal_fails(heights, below, None, row, col):
+def other_diagonal_error(heights, row, col, limit):
+    """Largest error on the other diagonal of a square; inf where it is more than a limit."""
+    if other_diagonal_fails(heights, limit, None, row, col):
         return np.inf
     spacing = spacing_of(row, col)
     _, first = directions_of_square(row, col, spacing)
@@ -92,7 +92,7 @@ def other_diagonal_error(heights, row, col, below):
         apex_row, apex_col, legs, along_axis = triangle_of_square(row, col, spacing, direction)
         error = triangle_error(heights, apex_row, apex_col, legs, direction, along_axis)
         largest = max(largest, error)
-    return largest if largest < below else np.inf
+    return largest
 
 
 @jit
