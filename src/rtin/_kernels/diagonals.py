@@ -1,19 +1,24 @@
 r"""The squares of a mesh, and their two diagonals.
 
-Two triangles that share their hypotenuse make a square around its midpoint v, upright about a
+Two triangles that share their hypotenuse make a square around its midpoint v: upright about a
 centre vertex, rotated about an edge vertex::
 
-    q-------b        b                  p, q   the apexes of v
-    |      /|       / \                 a, b   the ends of the edge that v bisects
-    |    v  |      /   \                v      in the middle; its spacing is half the side of an
-    |  /    |     p--v--q                      upright square, half the diagonal of a rotated one
-    |/      |      \   /
-    a-------p       \ /
-                     a                  (drawn on the other diagonal)
+    p-------b            b              p, q   the apexes of v
+    |     / |          / | \            a, b   the ends of the edge that v bisects
+    |   v   |         p  v  q           v      bisects both diagonals; its spacing is half the
+    | /     |          \ | /                   side of an upright square, and half the diagonal
+    a-------q            a                     of a rotated one
 
-On its own diagonal the square has the triangles (a, b, p) and (b, a, q) of the hierarchy, on the
-*other* one (p, q, b) and (q, p, a): the same two after a quarter turn. Their edges run along edges
-of the finest mesh as well, so errors at samples bound the error everywhere.
+On its *own* diagonal a square has the triangles (a, b, p) and (b, a, q) of the hierarchy, on the
+*other* one (p, q, b) and (q, p, a): the same two after a quarter turn. The other diagonal runs
+along edges of the finest mesh too, so that errors at samples still bound the error everywhere.
+
+A mesh of the wider family is a closed set K and a diagonal for each of its squares, the v outside K
+with both apexes in K. Those within the tolerance have a least K. For let a triangle (a, b, p) of
+the process not fit, and let K* be the vertices of any mesh within the tolerance that has p. Either
+v is in K*, and so is q; or K* has the square on its other diagonal, and so has q as well. Where the
+other diagonal does not fit, v must be in K*. So what the process adds is in every K*: q where the
+other diagonal fits, v where it does not. Both depend on v alone, not on the order of the steps.
 """
 
 import numpy as np
