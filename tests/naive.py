@@ -254,6 +254,76 @@ def family(heights, keep=()):
     return meshes
 
 
+# --- either diagonal ----------------------------------------------------------------------------
+
+
+def turned(vertex, size):
+    """The two triangles on the other diagonal of the square around a vertex; none on the border."""
+    if len(bisections(size)[vertex]) == 1:
+        return []
+    (p, a, b), (q, _, _) = bisections(size)[vertex]
+    return [(a, p, q), (b, p, q)]
+
+
+def fits_turned(vertex, size, exact, tolerance):
+    """Whether a square has no void, and all samples within the tolerance on its other diagonal."""
+    other = turned(vertex, size)
+    return bool(other) and all(is_good(t, exact, tolerance) for t in other)
+
+
+def least_on_either_diagonal(heights, tolerance, keep=()):
+    """Vertices and triangles of the least mesh whose squares may take their other diagonals.
+
+    While a triangle is not good, keep what makes its square whole, or split it where the other
+    diagonal is no good either.
+    """
+    size = lattice_size(heights.shape)
+    exact = exact_heights(heights)
+    wanted = kept = set(keep)
+    while True:
+        kept, triangles = retriangulate(kept | wanted, size)
+        bad = {midpoint(t) for t in triangles if not is_good(t, exact, tolerance)}
+        swapped = {v for v in bad if fits_turned(v, size, exact, tolerance)}
+        wanted = (bad - swapped).union(*(parents(v, size) for v in swapped))
+        if wanted <= kept:
+            return kept, on_closer_diagonals(triangles, exact, tolerance, size)
+
+
+def on_closer_diagonals(triangles, exact, tolerance, size):
+    """The triangles, those of each square on the better one of its diagonals that are good."""
+    squares = {}
+    for triangle in triangles:
+        squares.setdefault(triangle if is_unit(triangle) else midpoint(triangle), []).append(
+            triangle
+        )
+    result = []
+    for vertex, own in squares.items():
+        choices = [own] if all(is_good(t, exact, tolerance) for t in own) else []
+        if len(own) == 2 and fits_turned(vertex, size, exact, tolerance):
+            choices.append(turned(vertex, size))
+        result += min(choices, key=lambda pair: squared_error(pair, exact))
+    return result
+
+
+def squared_error(triangles, exact):
+    """Sum of the squared errors at the samples of some triangles; 0 where one is void."""
+    if any(place not in exact for triangle in triangles for place in weights(triangle)):
+        return 0
+    errors = {place: e for t in triangles for place, e in errors_in(t, exact).items()}
+    return sum(e**2 for e in errors.values())
+
+
+def family_on_either_diagonal(heights, keep=()):
+    """(tolerance, triangles) of every such mesh, the coarsest first: all tolerances are tried."""
+    exact, size = exact_heights(heights), lattice_size(heights.shape)
+    others = [t for vertex in bisections(size) for t in turned(vertex, size)]
+    errors = {worst_error(t, exact) for t in all_triangles(size) + others}
+    return [
+        (tolerance, visible(heights, least_on_either_diagonal(heights, tolerance, keep)[1]))
+        for tolerance in sorted({*errors, 0, float("inf")}, reverse=True)
+    ]
+
+
 # --- a mesh against its raster ------------------------------------------------------------------
 
 

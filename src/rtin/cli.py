@@ -76,6 +76,10 @@ _Threshold = Annotated[
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
     ),
 ]
+_Diagonals = Annotated[
+    Literal["lattice", "best"],
+    typer.Option(help="best: squares may change their diagonals, which takes fewer vertices."),
+]
 _MeshOut = Annotated[
     Path,
     typer.Argument(
@@ -127,6 +131,7 @@ def coarsen(
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
+    diagonals: _Diagonals = "lattice",
     band: _Band = 1,
     window: _Window = None,
     encoding: _Encoding = None,
@@ -156,6 +161,7 @@ def coarsen(
         _require_writable(out, dem)
         started = time.perf_counter()
         grid = _read_grid(dem, band, window, encoding)
+        asked |= {"diagonals": diagonals} if diagonals != "lattice" else {}
         mesh, error = _coarsen_and_measure(grid, asked)
         with _progress(f"writing {out}"):
             write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)
