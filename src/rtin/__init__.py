@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rtin.coarsening import coarsen, coarsen_levels
     from rtin.conformity import Propagation, propagation
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
+    from rtin.fitting import fit_heights
     from rtin.grid import Grid
     from rtin.io import (
         from_skfem,
@@ -36,6 +37,7 @@ _MODULE_OF = {
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
     "coarsen_levels": "rtin.coarsening",
+    "fit_heights": "rtin.fitting",
     "from_skfem": "rtin.io",
     "from_triangulation": "rtin.io",
     "plot": "rtin.plotting",
@@ -61,6 +63,7 @@ __all__ = [
     "__version__",
     "coarsen",
     "coarsen_levels",
+    "fit_heights",
     "from_skfem",
     "from_triangulation",
     "plot",

@@ -18,13 +18,14 @@ its parents, the apexes of the triangles that share the edge it bisects.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._options import as_height, as_tolerance_map, the_only_option
+from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
@@ -51,6 +52,7 @@ def coarsen(
     threshold: float | None = None,
     removable: ArrayLike | None = None,
     keep: ArrayLike | None = None,
+    heights: Literal["sampled", "fitted"] = "sampled",
 ) -> TriangleMesh:
     """Return a conforming right-triangulated mesh of a grid, with vertices at samples.
 
@@ -79,12 +81,17 @@ def coarsen(
     keep : array_like of bool, shape (rows, cols), optional
         Vertices to keep whatever the criterion says: peaks, ridges, coastlines. Samples without a
         height, and those of which no finest triangle is whole, can't be kept.
+    heights : {"sampled", "fitted"}
+        Where the vertices chosen lie. Sampled: at the raster's heights, unchanged. Fitted: moved
+        up or down for the smallest sum of squared errors over all samples, as ``fit_heights``
+        does. ``max_error`` is kept all the same; where none is promised, which includes budgets,
+        the largest error may rise.
 
     Returns
     -------
     TriangleMesh
-        Vertices in row-major order of their samples, with the raster's heights unchanged;
-        triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
+        Vertices in row-major order of their samples, with the raster's heights unchanged unless
+        they are to be fitted; triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
         bytes on any number of threads.
 
     Raises
@@ -92,7 +99,7 @@ def coarsen(
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; a tolerance is negative, or NaN where
+        If none or several of the five options are given; ``heights`` is another word; a tolerance is negative, or NaN where
         there is a height; an array is not of the grid's shape; a budget is too small for the
         grid's outline; or the grid has no finest triangle with three heights.
     MemoryError
@@ -106,16 +113,21 @@ def coarsen(
         threshold=threshold,
         removable=removable,
     )
+    if heights not in ("sampled", "fitted"):
+        raise ValueError(f"heights must be 'sampled' or 'fitted', got {heights!r}")
     required = None if keep is None else _as_mask(grid, "keep", keep)
+    tolerance = _NO_LIMIT
     if name == "max_error":
-        kept = _least_mesh(grid, _as_tolerance(grid, value), required)
+        tolerance = _as_tolerance(grid, value)
+        kept = _least_mesh(grid, tolerance, required)
     elif name == "threshold":
         kept = _above_threshold(grid, as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
         kept = _within_budget(grid, name, _as_count(name, value), required)
-    return _mesh_of(grid, kept)
+    mesh = _mesh_of(grid, kept)
+    return mesh if heights == "sampled" else _fitted(mesh, grid, tolerance)
 
 
 def coarsen_levels(
@@ -261,6 +273,11 @@ def _keep_marked(grid: Grid, kept: _Kept, mask: _Mask | None) -> None:
         close_all(
             kept, _joined(_parallel.run(keep_by_mask, [(mask, kept, *band) for band in bands]))
         )
+
+
+def _fitted(mesh: TriangleMesh, grid: Grid, tolerance: _Tolerance) -> TriangleMesh:
+    number, of_samples = tolerance
+    return fitted(mesh, grid, np.array([[number]]) if of_samples is None else of_samples)
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------
