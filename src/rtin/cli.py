@@ -76,6 +76,10 @@ _Threshold = Annotated[
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
     ),
 ]
+_VertexHeights = Annotated[
+    Literal["sampled", "fitted"],
+    typer.Option(help="Leave vertices at the raster's heights, or fit them to all samples."),
+]
 _MeshOut = Annotated[
     Path,
     typer.Argument(
@@ -127,6 +131,7 @@ def coarsen(
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
+    heights: _VertexHeights = "sampled",
     band: _Band = 1,
     window: _Window = None,
     encoding: _Encoding = None,
@@ -148,6 +153,8 @@ def coarsen(
         max_triangles=max_triangles,
         threshold=threshold,
     )
+    if heights != "sampled":
+        asked["heights"] = heights
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():

@@ -91,17 +91,17 @@ def coarsen(
     -------
     TriangleMesh
         Vertices in row-major order of their samples, with the raster's heights unchanged unless
-        they are to be fitted; triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
-        bytes on any number of threads.
+        they are to be fitted; triangles counter-clockwise from above, their hypotenuse on the
+        lattice first. The same bytes on any number of threads.
 
     Raises
     ------
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; ``heights`` is another word; a tolerance is negative, or NaN where
-        there is a height; an array is not of the grid's shape; a budget is too small for the
-        grid's outline; or the grid has no finest triangle with three heights.
+        If none or several of the five options are given; ``heights`` is another word; a tolerance
+        is negative, or NaN where there is a height; an array is not of the grid's shape; a budget
+        is too small for the grid's outline; or the grid has no finest triangle with three heights.
     MemoryError
         If the lattice does not fit in memory.
     """

@@ -8,7 +8,7 @@ something still is beyond it in the end, the vertices around go back towards whe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 from typing import Any
 
@@ -24,12 +24,15 @@ from rtin.mesh import TriangleMesh, require_mesh
 __all__ = ["fit_heights", "fitted"]
 
 _Heights = NDArray[np.float64]
+_Numbers = NDArray[np.integer[Any]]
+_Mask = NDArray[np.bool_]
 _Tolerance = NDArray[np.float64]  # of the raster's shape, or (1, 1)
 
 _DETERMINED = 0.25
 _STIFFNESSES = 10.0 ** np.arange(1, 8)
 _EXACTLY, _ROUGHLY = 1e-11, 1e-3  # what conjugate gradients leave of the residual
 _MOST_ROUNDS = 1000
+_RINGS = 2  # more changed no figure by a millionth, and took longer
 _HALVINGS = 6
 _ROUNDING = 4.0  # units in the last place of the largest height
 
@@ -67,11 +70,14 @@ def fit_heights(
     TypeError
         If ``mesh`` is not a TriangleMesh, ``grid`` not a Grid or ``max_error`` no number.
     ValueError
-        If the mesh covers no valid sample; ``max_error`` is negative, or NaN where there is a
-        height, or of another shape; or the mesh is farther than that from a sample.
+        If the mesh covers no valid sample or has a vertex that is not finite; ``max_error`` is
+        negative, or NaN where there is a height, or of another shape; or the mesh is farther than
+        that from a sample.
     """
     require_mesh(mesh)
     require_grid(grid)
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("a mesh with finite vertices is wanted, got NaN or infinity in one")
     if max_error is None:
         allowed = None
     elif np.ndim(max_error) == 0:
@@ -90,8 +96,9 @@ def fitted(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance | None) -> Triang
     """
     given = np.ascontiguousarray(mesh.vertices[:, 2])
     samples = _samples_of(mesh, grid, np.full((1, 1), np.inf) if allowed is None else allowed)
-    heights, before = _least_squares(samples, given)
+    heights, free, before = _least_squares(samples, given)
     if allowed is not None:
+        heights = _pressed(samples, free, heights)
         heights = _brought_back(samples, given, heights)
     _, after, _ = _sums(samples, heights, 0.0)
     if not after < before:
@@ -133,20 +140,67 @@ def _samples_of(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance) -> _Samples
     return _Samples(grid, places, mesh.triangles, starts, samples, allowed)
 
 
-def _least_squares(samples: _Samples, given: _Heights) -> tuple[_Heights, float]:
-    """Return the heights of least squares, within the tolerance or nearly so, and the first sum."""
+def _least_squares(samples: _Samples, given: _Heights) -> tuple[_Heights, _Mask, float]:
+    """Return heights of least squares, which vertices may move, and the sum of squares before."""
     from rtin._kernels.fitting import step_down
 
     heights = given.copy()
     sums, before, _ = _sums(samples, heights, 0.0)
     free = _free(samples, sums)
     step_down(samples.triangles, sums, free, _EXACTLY, _MOST_ROUNDS, heights)
+    return heights, free, before
+
+
+def _pressed(samples: _Samples, free: _Mask, heights: _Heights) -> _Heights:
+    """Return heights within the tolerance, or nearly so: those near to what is beyond it change."""
+    from rtin._kernels.fitting import step_down
+
+    every = np.ones(len(samples.triangles), np.bool_)
+    surface = (samples.places, heights, samples.triangles)
+    off = triangles_off(*surface, samples.grid, samples.allowed, every)
+    if not off.any():
+        return heights
+    near, vertices, movable = _part(samples, off)
+    movable, pressed = movable & free[vertices], heights[vertices]
     for stiffness in _STIFFNESSES:
-        sums, _, n_beyond = _sums(samples, heights, stiffness)
+        sums, _, n_beyond = _sums(near, pressed, stiffness)
         if n_beyond == 0:
             break
-        step_down(samples.triangles, sums, free, _ROUGHLY, _MOST_ROUNDS, heights)
-    return heights, before
+        step_down(near.triangles, sums, movable, _ROUGHLY, _MOST_ROUNDS, pressed)
+    heights = heights.copy()
+    heights[vertices] = pressed
+    return heights
+
+
+def _part(samples: _Samples, chosen: _Mask) -> tuple[_Samples, _Numbers, _Mask]:
+    """Return the triangles near the chosen ones as a mesh of their own.
+
+    With it come the numbers that its vertices had, and which of them have all their triangles here.
+    """
+    reached = np.zeros(len(samples.places), np.bool_)
+    reached[samples.triangles[chosen]] = True
+    for _ in range(_RINGS):
+        reached[samples.triangles[_around(samples.triangles, reached)]] = True
+    near = np.flatnonzero(_around(samples.triangles, reached))
+    taken = np.zeros(len(samples.places), np.bool_)
+    taken[samples.triangles[near]] = True
+    vertices, number = np.flatnonzero(taken), np.cumsum(taken, dtype=np.int32) - 1
+    first, counts = samples.starts[near], np.diff(samples.starts)[near]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    places = np.repeat(first - starts[:-1], counts) + np.arange(starts[-1])
+    part = replace(
+        samples,
+        places=samples.places[vertices],
+        triangles=number[samples.triangles[near]],
+        starts=starts,
+        samples=samples.samples[places],
+    )
+    return part, vertices, reached[vertices]
+
+
+def _around(triangles: NDArray[np.int32], marked: _Mask) -> _Mask:
+    """Return which triangles have a marked vertex."""
+    return np.asarray(marked[triangles[:, 0]] | marked[triangles[:, 1]] | marked[triangles[:, 2]])
 
 
 def _sums(
@@ -167,16 +221,17 @@ def _sums(
     return sums, sum(total for total, _ in parts), sum(n_beyond for _, n_beyond in parts)
 
 
-def _free(samples: _Samples, sums: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _free(samples: _Samples, sums: NDArray[np.float64]) -> _Mask:
     """Return which vertices may move."""
-    from rtin._kernels.fitting import find_determined, pin_exact
+    from rtin._kernels.fitting import gather, pin_exact
 
-    free = np.empty(len(samples.places), np.bool_)
-    find_determined(samples.triangles, sums, _DETERMINED, free)
+    squared_weights, pull = np.zeros((2, len(samples.places)))
+    gather(samples.triangles, sums, squared_weights, pull)
+    free = np.asarray(squared_weights >= _DETERMINED)
     if (samples.allowed == 0.0).any():
         lists = (samples.starts, samples.samples)
-        allowed = np.ascontiguousarray(np.broadcast_to(samples.allowed, samples.grid.shape))
-        pin_exact(samples.places, samples.triangles, *lists, allowed, free)
+        n_cols = samples.grid.shape[1]
+        pin_exact(samples.places, samples.triangles, *lists, n_cols, samples.allowed, free)
     return free
 
 
@@ -188,9 +243,8 @@ def _brought_back(samples: _Samples, given: _Heights, fitted: _Heights) -> _Heig
     """
     triangles = samples.triangles
     heights, share = fitted, np.ones(len(given))
-    moved = np.ones(len(given), np.bool_)
+    wanted = np.ones(len(triangles), np.bool_)
     for factor in chain(repeat(0.5, _HALVINGS), repeat(0.0)):
-        wanted = np.asarray(moved[triangles].any(axis=1))
         surface = (samples.places, heights, triangles)
         off = triangles_off(*surface, samples.grid, samples.allowed, wanted)
         moved = np.zeros(len(given), np.bool_)
@@ -200,6 +254,7 @@ def _brought_back(samples: _Samples, given: _Heights, fitted: _Heights) -> _Heig
             break
         share[moved] *= factor
         heights = np.where(moved, given + share * (fitted - given), heights)
+        wanted = _around(triangles, moved)
     return heights
 
 

@@ -78,6 +78,15 @@ def beyond(value, limit):
 
 
 @jit
+def pressed(error, allowed, stiffness):
+    """Weight of a sample, and its weighted error: what is beyond the tolerance counts for more."""
+    excess = beyond(error, MARGIN * allowed)
+    if stiffness == 0.0 or excess == 0.0:
+        return 1.0, error
+    return 1.0 + stiffness, error + stiffness * excess
+
+
+@jit
 def allowed_at(tolerance, row, col):
     """The tolerance of a sample: ``tolerance`` has one row and column for all, or the raster's."""
     return tolerance[0, 0] if tolerance.size == 1 else tolerance[row, col]
@@ -110,10 +119,7 @@ def sum_samples(
             total += error * error
             allowed = allowed_at(tolerance, row, col)
             n_beyond += abs(error) > allowed
-            weight, excess = 1.0, beyond(error, MARGIN * allowed)
-            if stiffness > 0.0 and excess != 0.0:
-                weight += stiffness
-                error += stiffness * excess
+            weight, error = pressed(error, allowed, stiffness)
             aa += weight * wa * wa
             ab += weight * wa * wb
             ac += weight * wa * wc
@@ -130,26 +136,15 @@ def sum_samples(
 
 
 @jit
-def find_determined(triangles, sums, least, determined):
-    """Mark the vertices whose weights at all samples, squared, add up to so much."""
-    diagonal = np.zeros(determined.size)
-    for triangle in range(triangles.shape[0]):
-        diagonal[triangles[triangle, 0]] += sums[triangle, 0]
-        diagonal[triangles[triangle, 1]] += sums[triangle, 3]
-        diagonal[triangles[triangle, 2]] += sums[triangle, 5]
-    determined[:] = diagonal >= least
-
-
-@jit
-def pin_exact(places, triangles, starts, samples, tolerance, free):
+def pin_exact(places, triangles, starts, samples, n_cols, tolerance, free):
     """Unmark the vertices that have a weight at a sample without any tolerance."""
     for triangle in range(triangles.shape[0]):
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
         a_by_row, a_by_col, b_by_row, b_by_col = weight_slopes(places, a, b, c)
         for k in range(starts[triangle], starts[triangle + 1]):
-            row = samples[k] // tolerance.shape[1]
-            col = samples[k] - row * tolerance.shape[1]
-            if tolerance[row, col] > 0.0:
+            row = samples[k] // n_cols
+            col = samples[k] - row * n_cols
+            if allowed_at(tolerance, row, col) > 0.0:
                 continue
             down, right = row - places[c, 0], col - places[c, 1]
             wa = a_by_row * down + a_by_col * right
@@ -226,6 +221,4 @@ def step_down(triangles, sums, free, goal, most_rounds, z):
             residual[vertex] -= length * product[vertex]
             norm += residual[vertex] * scale[vertex] * residual[vertex]
         for vertex in range(z.size):
-            direction[vertex] = (
-                scale[vertex] * residual[vertex] + norm / before * direction[vertex]
-            )
+            direction[vertex] = scale[vertex] * residual[vertex] + norm / before * direction[vertex]
