@@ -140,6 +140,15 @@ def test_is_nearly_the_least_squares_solution_within_the_tolerance(heights, max_
     assert fitted - least <= 0.01 * (sampled - least) + 1e-9
 
 
+def test_a_fit_that_is_worse_once_it_is_within_the_tolerance_is_dropped():
+    grid = rtin.Grid([[1.0, 7.0, 8.0], [1.0, 0.0, 4.0], [4.0, 7.0, 8.0]])
+    mesh = rtin.coarsen(grid, removable=np.ones((3, 3), bool))
+    slack = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+    allowed = abs(rtin.vertical_error(mesh, grid).field) + slack
+    fitted = rtin.fit_heights(mesh, grid, max_error=allowed)
+    assert fitted.vertices.tobytes() == mesh.vertices.tobytes()
+
+
 def exact_errors(mesh, grid):
     """Surface - sample in fractions, of a mesh on its grid's lattice."""
     places = grid.places(mesh.vertices[:, :2]).astype(int).tolist()
