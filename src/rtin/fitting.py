@@ -79,7 +79,7 @@ def fit_heights(
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("a mesh with finite vertices is wanted, got NaN or infinity in one")
     if max_error is None:
-        allowed = None
+        allowed = np.full((1, 1), np.inf)
     elif np.ndim(max_error) == 0:
         allowed = np.array([[as_height("max_error", max_error)]])
     else:
@@ -88,16 +88,16 @@ def fit_heights(
     return fitted(mesh, grid, allowed)
 
 
-def fitted(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance | None) -> TriangleMesh:
+def fitted(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance) -> TriangleMesh:
     """Return what ``fit_heights`` does, for arguments that are known to be good.
 
     ``allowed`` is of the raster's shape, or has one row and column for all samples. Where the mesh
     is beyond it already, as rounding can make it, the triangle keeps its heights.
     """
     given = np.ascontiguousarray(mesh.vertices[:, 2])
-    samples = _samples_of(mesh, grid, np.full((1, 1), np.inf) if allowed is None else allowed)
+    samples = _samples_of(mesh, grid, allowed)
     heights, free, before = _least_squares(samples, given)
-    if allowed is not None:
+    if (allowed < np.inf).any():
         heights = _pressed(samples, free, heights)
         heights = _brought_back(samples, given, heights)
     _, after, _ = _sums(samples, heights, 0.0)
@@ -235,14 +235,14 @@ def _free(samples: _Samples, sums: NDArray[np.float64]) -> _Mask:
     return free
 
 
-def _brought_back(samples: _Samples, given: _Heights, fitted: _Heights) -> _Heights:
-    """Return heights between the given and the fitted ones, within the tolerance.
+def _brought_back(samples: _Samples, given: _Heights, wished: _Heights) -> _Heights:
+    """Return heights between the given and the wished ones, within the tolerance.
 
     Around each triangle that is off, vertices go halfway back, and after some rounds all the way.
     Every round brings some vertex nearer to where it was: with all of them there it would be over.
     """
     triangles = samples.triangles
-    heights, share = fitted, np.ones(len(given))
+    heights, share = wished, np.ones(len(given))
     wanted = np.ones(len(triangles), np.bool_)
     for factor in chain(repeat(0.5, _HALVINGS), repeat(0.0)):
         surface = (samples.places, heights, triangles)
@@ -253,7 +253,7 @@ def _brought_back(samples: _Samples, given: _Heights, fitted: _Heights) -> _Heig
         if not moved.any():
             break
         share[moved] *= factor
-        heights = np.where(moved, given + share * (fitted - given), heights)
+        heights = np.where(moved, given + share * (wished - given), heights)
         wanted = _around(triangles, moved)
     return heights
 
@@ -261,10 +261,10 @@ def _brought_back(samples: _Samples, given: _Heights, fitted: _Heights) -> _Heig
 # --- the door -----------------------------------------------------------------------------------
 
 
-def _require_within(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance | None) -> None:
+def _require_within(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance) -> None:
     """Raise ValueError where a mesh covers nothing, or is beyond the tolerance somewhere."""
     error = vertical_error(mesh, grid)
-    if allowed is None or error.max <= allowed.min():
+    if error.max <= allowed.min():
         return
     excess = np.abs(error.field) - allowed
     excess[np.isnan(excess)] = -np.inf
