@@ -362,6 +362,62 @@ def surface_minus_samples(mesh, grid):
     return field
 
 
+# --- fitted heights -----------------------------------------------------------------------------
+
+
+def weights_at_samples(mesh, grid):
+    """Places of the samples that a mesh covers, and the matrix that makes its heights there of z.
+
+    Each has a row with the barycentric weights in one triangle around it, on the lattice.
+    """
+    vertices = grid.places(mesh.vertices[:, :2])
+    rows, cols = np.indices(grid.shape)
+    found = {}
+    for triangle in mesh.triangles:
+        (a_row, a_col), (b_row, b_col), (c_row, c_col) = vertices[triangle]
+        area = (a_row - c_row) * (b_col - c_col) - (b_row - c_row) * (a_col - c_col)
+        if area == 0.0:
+            continue
+        of_a = ((rows - c_row) * (b_col - c_col) - (b_row - c_row) * (cols - c_col)) / area
+        of_b = ((a_row - c_row) * (cols - c_col) - (rows - c_row) * (a_col - c_col)) / area
+        weights = np.stack([of_a, of_b, 1.0 - of_a - of_b])
+        for row, col in np.argwhere((weights > -1e-9).all(axis=0) & ~np.isnan(grid.heights)):
+            found[row, col] = np.zeros(len(vertices))
+            found[row, col][triangle] = weights[:, row, col]
+    return list(found), np.array(list(found.values()))
+
+
+def least_squares_heights(mesh, grid):
+    """Heights of least squares; vertices that samples hardly see stay at theirs."""
+    places, weights = weights_at_samples(mesh, grid)
+    z = mesh.vertices[:, 2].copy()
+    heights = np.array([grid.heights[place] for place in places], np.float64)
+    free = (weights**2).sum(axis=0) >= 0.25
+    z[free] += np.linalg.lstsq(weights[:, free], heights - weights @ z, rcond=None)[0]
+    return z
+
+
+def least_squares_within(mesh, grid, allowed):
+    """The same under the condition that no sample is farther off than allowed, an array.
+
+    Lawson and Hanson's least distance programming, "Solving least squares problems", chapter 23:
+    the nearest point to the unconstrained solution, in the norm that the sum of squares gives.
+    """
+    from scipy.optimize import nnls
+
+    places, weights = weights_at_samples(mesh, grid)
+    z = least_squares_heights(mesh, grid)
+    errors = weights @ z - [float(grid.heights[place]) for place in places]
+    limits = np.array([allowed[place] for place in places])
+    triangular = np.linalg.cholesky(weights.T @ weights)
+    slopes = np.linalg.solve(triangular, weights.T)
+    at_least = np.concatenate([errors - limits, -errors - limits])
+    matrix = np.vstack([np.hstack([-slopes, slopes]), at_least])
+    wanted = np.eye(len(matrix))[-1]
+    left = matrix @ nnls(matrix, wanted, maxiter=20_000)[0] - wanted
+    return z + np.linalg.solve(triangular.T, -left[:-1] / left[-1])
+
+
 # --- all meshes of a small lattice --------------------------------------------------------------
 
 

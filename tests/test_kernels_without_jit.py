@@ -23,6 +23,8 @@ CHOSEN = [
     "test_conformity.py::test_is_the_walks_of_the_paper",
     "test_adjacency.py::test_twins_run_the_other_way_along_the_same_edge",
     "test_adjacency.py::test_steps_around_a_triangle",
+    "test_fitting.py::test_is_the_least_squares_solution",
+    "test_fitting.py::test_the_tolerance_of_every_sample_is_kept",
     "test_refinement.py::test_is_the_papers_algorithm_step_after_step",
     "test_refine_to.py::test_bisection_from_two_triangles_is_the_least_mesh",
     "test_refine_to.py::test_keeps_the_promise_from_a_coarsened_mesh",

@@ -80,6 +80,10 @@ _Diagonals = Annotated[
     Literal["lattice", "best"],
     typer.Option(help="best: squares may change their diagonals, which takes fewer vertices."),
 ]
+_VertexHeights = Annotated[
+    Literal["sampled", "fitted"],
+    typer.Option(help="Leave vertices at the raster's heights, or fit them to all samples."),
+]
 _MeshOut = Annotated[
     Path,
     typer.Argument(
@@ -132,6 +136,7 @@ def coarsen(
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
     diagonals: _Diagonals = "lattice",
+    heights: _VertexHeights = "sampled",
     band: _Band = 1,
     window: _Window = None,
     encoding: _Encoding = None,
@@ -153,6 +158,8 @@ def coarsen(
         max_triangles=max_triangles,
         threshold=threshold,
     )
+    if heights != "sampled":
+        asked["heights"] = heights
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._options import as_height, as_tolerance_map, the_only_option
+from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
@@ -53,6 +54,7 @@ def coarsen(
     removable: ArrayLike | None = None,
     keep: ArrayLike | None = None,
     diagonals: Literal["lattice", "best"] = "lattice",
+    heights: Literal["sampled", "fitted"] = "sampled",
 ) -> TriangleMesh:
     """Return a conforming right-triangulated mesh of a grid, with vertices at samples.
 
@@ -95,24 +97,30 @@ def coarsen(
         one with the smaller sum of squared errors at its samples, the lattice's where they are
         equal. *Not promised*: a smaller largest error than with "lattice" where no ``max_error`` is
         given, and the least squared error over all meshes of as many vertices.
+    heights : {"sampled", "fitted"}
+        Where the vertices chosen lie. Sampled: at the raster's heights, unchanged. Fitted: moved
+        up or down for the smallest sum of squared errors over all samples, as ``fit_heights``
+        does. ``max_error`` is kept all the same; where none is promised, which includes budgets,
+        the largest error may rise.
 
     Returns
     -------
     TriangleMesh
-        Vertices in row-major order of their samples, with the raster's heights unchanged;
-        triangles counter-clockwise from above, their hypotenuse on the lattice first, in row-major
-        order of their apexes; those of a square on its other diagonal stand where the two others
-        would, each turned by a quarter about the square's middle. The same bytes on any number of
-        threads.
+        Vertices in row-major order of their samples, with the raster's heights unchanged unless
+        they are fitted; triangles counter-clockwise from above, their hypotenuse on the lattice
+        first, in row-major order of their apexes; those of a square on its other diagonal stand
+        where the two others would, each turned by a quarter about the square's middle. The same
+        bytes on any number of threads.
 
     Raises
     ------
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; ``diagonals`` is unknown; a tolerance is
-        negative, or NaN where there is a height; an array is not of the grid's shape; a budget is
-        too small for the grid's outline; or the grid has no finest triangle with three heights.
+        If none or several of the five options are given; ``diagonals`` or ``heights`` is another
+        word; a tolerance is negative, or NaN where there is a height; an array is not of the grid's
+        shape; a budget is too small for the grid's outline; or the grid has no finest triangle with
+        three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
@@ -124,6 +132,8 @@ def coarsen(
         threshold=threshold,
         removable=removable,
     )
+    if heights not in ("sampled", "fitted"):
+        raise ValueError(f"heights must be 'sampled' or 'fitted', got {heights!r}")
     required = None if keep is None else _as_mask(grid, "keep", keep)
     swapped, tolerance = _no_swaps(grid, diagonals), _NO_LIMIT
     if name == "max_error":
@@ -136,7 +146,10 @@ def coarsen(
     else:
         kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
     _choose_diagonals(grid, kept, swapped, tolerance)
-    return _mesh_of(grid, kept, swapped)
+    mesh = _mesh_of(grid, kept, swapped)
+    if heights == "sampled":
+        return mesh
+    return _fitted(mesh, grid, tolerance if name == "max_error" else _NO_LIMIT)
 
 
 def coarsen_levels(
@@ -312,6 +325,14 @@ def _choose_diagonals(grid: Grid, kept: _Kept, swapped: _Swapped, tolerance: _To
         shared = (grid.heights, *tolerance, kept, _words(kept), swapped)
         bands = _parallel.row_bands(grid.shape[0])
         _parallel.run(choose_diagonals, [(*shared, *band) for band in bands])
+
+
+# --- heights -------------------------------------------------------------------------------------
+
+
+def _fitted(mesh: TriangleMesh, grid: Grid, tolerance: _Tolerance) -> TriangleMesh:
+    number, of_samples = tolerance
+    return fitted(mesh, grid, np.array([[number]]) if of_samples is None else of_samples)
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------
