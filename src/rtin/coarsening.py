@@ -114,8 +114,9 @@ def coarsen(
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
         If none or several of the options are given, or one that does not go with the norm; a
-        tolerance or weight is negative, or NaN where there is a height; an array is not of the grid's shape; a budget is too small for the
-        grid's outline; or the grid has no finest triangle with three heights.
+        tolerance or weight is negative, or NaN where there is a height; an array is not of the
+        grid's shape; a budget is too small for the grid's outline; or the grid has no finest
+        triangle with three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
@@ -235,7 +236,7 @@ def _least_squares(grid: Grid, weight: float, required: _Mask | None) -> _Kept:
     if weight == 0.0:  # no error is worth a vertex less
         return _least_mesh(grid, (0.0, None), required)
     kept = _least_mesh(grid, _NO_LIMIT, required)
-    squared_error.keep_best(grid, kept, weight)
+    squared_error.keep_best(squared_error.vertex_gains(grid), kept, weight)
     return kept
 
 
@@ -245,10 +246,13 @@ def _least_squares_within_budget(
     kept = _least_mesh(grid, _NO_LIMIT, required)
     size = _size(grid, kept)
     limits = _limits(name, budget, *size)
-    lossless = _least_mesh(grid, (0.0, None), required)
-    if all(np.less_equal(_size(grid, lossless), limits)):
-        return lossless
-    squared_error.keep_within(grid, kept, limits[0] - size[0], limits[1] - size[1])
+    gains = squared_error.vertex_gains(grid)
+    room = np.subtract(limits, size)
+    if squared_error.may_hold_all(gains, kept, room):
+        lossless = _least_mesh(grid, (0.0, None), required)
+        if all(np.less_equal(_size(grid, lossless), limits)):
+            return lossless
+    squared_error.keep_within(gains, kept, room)
     return kept
 
 

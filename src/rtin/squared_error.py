@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from rtin.grid import Grid, lattice_size
 
-__all__ = ["keep_best", "keep_within", "vertex_gains"]
+__all__ = ["keep_best", "keep_within", "may_hold_all", "vertex_gains"]
 
 _Gains = NDArray[np.float64]
 _Items = NDArray[np.int64]
 _Kept = NDArray[np.uint8]
+_Room = NDArray[np.int64]  # vertices, triangles
 
 _STEP = 4.0  # between weights, until one fits the budget and the next does not
 _LEAST_SHARE = 2.0**-60  # of the largest gain: below it all is rounding
@@ -47,26 +48,30 @@ def vertex_gains(grid: Grid) -> _Gains:
     return gains
 
 
-def keep_best(grid: Grid, kept: _Kept, weight: float) -> None:
+def keep_best(gains: _Gains, kept: _Kept, weight: float) -> None:
     """Keep, besides a closed set, the vertices that make SSE + weight * vertices least.
 
-    The fewest of them where there is a choice.
+    The fewest of them where there is a choice. ``kept`` has a byte for each vertex of the lattice.
     """
     from rtin._kernels.squared_error import keep_all
 
-    gains = vertex_gains(grid)
-    keep_all(kept, _best(gains, kept, weight, _no_numbers(grid)))
+    keep_all(kept, _best(gains, kept, weight, _no_numbers(gains)))
 
 
-def keep_within(grid: Grid, kept: _Kept, max_vertices: int, max_triangles: int) -> None:
-    """Keep, besides a closed set, so many vertices at most that add so many triangles at most.
+def may_hold_all(gains: _Gains, kept: _Kept, room: _Room) -> bool:
+    """Return whether there is room for all that gain: the lossless mesh has every one of them."""
+    return bool(_not_kept_above(gains, kept, 0.0).size <= room[0])
 
-    The best set for the least possible weight, and what then still fits, chosen greedily.
+
+def keep_within(gains: _Gains, kept: _Kept, room: _Room) -> None:
+    """Keep, besides a closed set, as many vertices as there is room for.
+
+    The best set for the least possible weight, and what then still fits, chosen greedily. ``room``
+    is how many vertices and how many triangles may be added; of either, some may be left.
     """
     from rtin._kernels.squared_error import best_closed_set, gains_of, keep_all, keep_greedily
 
-    gains, number = vertex_gains(grid), _no_numbers(grid)
-    room = np.array([max_vertices, max_triangles])
+    number, room = _no_numbers(gains), room.copy()
     least_weight, finer = _keep_until_too_fine(gains, kept, room, number)
     weight = least_weight
     while finer.size > 0:
@@ -86,11 +91,11 @@ def keep_within(grid: Grid, kept: _Kept, max_vertices: int, max_triangles: int) 
     for share in _FILLING:
         if room.min() > 0:
             items = _not_kept_above(gains, kept, share * weight)
-            room[:] = keep_greedily(gains, kept, items, *room)
+            room = keep_greedily(gains, kept, items, room)
 
 
 def _keep_until_too_fine(
-    gains: _Gains, kept: _Kept, room: _Items, number: NDArray[np.int32]
+    gains: _Gains, kept: _Kept, room: _Room, number: NDArray[np.int32]
 ) -> tuple[float, _Items]:
     """Keep the best sets of falling weights while there is room; return the first too large.
 
@@ -111,7 +116,7 @@ def _keep_until_too_fine(
     return weight, np.empty(0, np.int64)
 
 
-def _first_weight(gains: _Gains, kept: _Kept, room: _Items) -> float:
+def _first_weight(gains: _Gains, kept: _Kept, room: _Room) -> float:
     """Return a weight whose best set may be about as large as the room."""
     found = gains[(gains > 0.0) & (kept[: gains.shape[0], : gains.shape[1]] == 0)]
     wanted = int(min(room[0], room[1] // 2))
@@ -121,13 +126,11 @@ def _first_weight(gains: _Gains, kept: _Kept, room: _Items) -> float:
     return float(np.partition(found, place)[place])
 
 
-def _best(
-    gains: _Gains, kept: _Kept, weight: float, number: NDArray[np.int32]
-) -> _Items:
+def _best(gains: _Gains, kept: _Kept, weight: float, number: NDArray[np.int32]) -> _Items:
     from rtin._kernels.squared_error import best_closed_set, candidates
 
     items = candidates(gains, weight, kept, number)
-    return items[best_closed_set(items, gains, weight, number)]
+    return np.asarray(items[best_closed_set(items, gains, weight, number)])
 
 
 def _needed(gains: _Gains, items: _Items) -> _Items:
@@ -141,12 +144,12 @@ def _not_kept_above(gains: _Gains, kept: _Kept, least: float) -> _Items:
     from rtin._kernels.lattice import VERTEX, pack
 
     rows, cols = np.nonzero((gains > least) & (kept[: gains.shape[0], : gains.shape[1]] == 0))
-    return pack(rows, cols, VERTEX)
+    return np.asarray(pack(rows, cols, VERTEX))
 
 
-def _no_numbers(grid: Grid) -> NDArray[np.int32]:
+def _no_numbers(gains: _Gains) -> NDArray[np.int32]:
     """Return room for the place of each vertex in a list; the kernels leave it as it is here."""
-    return np.full(grid.shape, -1, np.int32)
+    return np.full(gains.shape, -1, np.int32)
 
 
 def _add_along_the_border(grid: Grid, size: int, gains: _Gains) -> None:

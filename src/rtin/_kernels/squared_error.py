@@ -126,6 +126,9 @@ def add_gains(heights, n_depths, root, gains):
             row, col = (a_row + b_row) >> 1, (a_col + b_col) >> 1
             between = (height_at(heights, a_row, a_col) + height_at(heights, b_row, b_col)) / 2
             surplus = height_at(heights, row, col) - between
+            if depth == n_depths:  # halves see a void at the apex, but the finest have no halves
+                apex = height_at(heights, corners[depth, 0, 0], corners[depth, 1, 0])
+                surplus += apex - apex
             whole = moments[depth - 1, n_done[depth - 1] - 1]
             gain = join_halves(surplus, moments[depth], apex_apex[depth], apex_end[depth], whole)
             if row < n_rows and col < n_cols:
@@ -157,8 +160,8 @@ def add_gains_along(line, gains):
 # its apexes, as much of them as wanted, and make up for losses there. When no more losses can be
 # made up, the vertices with profits left over, and all that these could still flow to, are the
 # smallest of the best closed sets: a maximum flow and the minimum cut beside it (Picard, "Maximal
-# closure of a graph and applications to combinatorial problems", 1976). The *arc* 2 * i + slot leads
-# from vertex i to one of its two apexes.
+# closure of a graph and applications to combinatorial problems", 1976). The *arc* 2 * i + slot
+# leads from vertex i to one of its two apexes.
 
 
 @jit
@@ -430,14 +433,14 @@ def push_children(heap, gains, kept, item, room, stack, added):
 
 
 @jit
-def keep_greedily(gains, kept, items, max_vertices, max_triangles):
+def keep_greedily(gains, kept, items, room):
     """Keep vertices of a list, and what they need, the largest mean gain first, while they fit.
 
     Means change when others are kept. A vertex whose mean has fallen goes back to the heap when it
-    is met; children of what is kept, whose means may have risen, go there again at once. Returns
-    how many vertices and triangles could still be added.
+    is met; children of what is kept, whose means may have risen, go there again at once.
+    ``room`` is how many vertices and triangles may be added; returns what is left of it.
     """
-    room = np.array([max_vertices, max_triangles])
+    room = room.copy()
     stack, added = np.empty(256, np.int64), np.empty(256, np.int64)
     heap = [(0.0, np.int64(0))]
     heap.pop()
