@@ -1,4 +1,6 @@
-"""`norm="rms"` against direct evaluation, all meshes of small lattices, and the mathematics' laws."""
+"""`norm="rms"` against direct evaluation, all meshes of small lattices, and laws."""
+
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,13 +40,13 @@ def assert_are_the_gains(gains, heights, rounding):
             assert abs(gains[place] - float(expected)) <= rounding
 
 
-@given(terrains.rasters())
+@given(terrains.rasters(largest=6))
 def test_gains_are_differences_of_sums_of_squares(heights):
     grid = grid_of(heights)
     assert_are_the_gains(squared_error.vertex_gains(grid), grid.heights, 0.0)
 
 
-@pytest.mark.parametrize("shape", [(17, 17), (9, 17), (17, 12), (2, 17)], ids=str)
+@pytest.mark.parametrize("shape", [(9, 9), (9, 17), (17, 5), (2, 17)], ids=str)
 @pytest.mark.parametrize("base", [0.0, 8000.0])
 def test_gains_lose_no_digits_to_height(shape, base):
     rng = np.random.default_rng(shape)
@@ -69,7 +71,7 @@ def test_gains_add_up_to_the_error_of_two_triangles():
 
 
 def sum_of_squares(mesh, grid):
-    return float(np.nansum(naive.surface_minus_samples(mesh, grid) ** 2))
+    return float(np.nansum(rtin.vertical_error(mesh, grid).field ** 2))
 
 
 # --- against all meshes -------------------------------------------------------------------------
@@ -84,47 +86,57 @@ class AllMeshes:
     def __init__(self, heights, keep=()):
         size = naive.lattice_size(heights.shape)
         exact = naive.exact_heights(heights)
-        base = frozenset(naive.least(heights, float("inf"), keep)[0])
-        free = [v for v in naive.bisections(size) if naive.gain(v, exact, size) is not None]
-        self.sets = naive.closed_sets(size, base, free)
-        triangles = naive.all_triangles(size)
-        columns = {vertex: number for number, vertex in enumerate(np.ndindex(size + 1, size + 1))}
-        has = np.zeros((len(self.sets), len(columns)), bool)
-        for row, kept in zip(has, self.sets, strict=True):
-            row[[columns[vertex] for vertex in kept]] = True
-        squares = np.zeros((len(self.sets), len(columns)))
-        is_used = np.zeros((len(self.sets), len(columns)), bool)
-        for triangle in triangles:
-            if not all(corner in exact for corner in triangle):
-                continue
-            is_there = has[:, columns[triangle[0]]].copy()
+        self.columns = {place: n for n, place in enumerate(np.ndindex(size + 1, size + 1))}
+        has = membership(size, outline(heights, keep), free_vertices(heights), self.columns)
+        squares, self.is_used = np.zeros(has.shape), np.zeros(has.shape, bool)
+        for triangle in naive.all_triangles(size):
+            is_there = has[:, self.columns[triangle[0]]].copy()
             if not naive.is_unit(triangle):
-                is_there &= ~has[:, columns[naive.midpoint(triangle)]]
-            for corner in triangle:
-                is_used[is_there, columns[corner]] = True
-            if is_there.any():
+                is_there &= ~has[:, self.columns[naive.midpoint(triangle)]]
+            if is_there.any() and all(corner in exact for corner in triangle):
+                self.is_used[np.ix_(is_there, [self.columns[corner] for corner in triangle])] = True
                 for place, error in naive.errors_in(triangle, exact).items():
-                    squares[is_there, columns[place]] = float(error * error)
-        self.sums = squares.sum(axis=1)
-        self.n_vertices = is_used.sum(axis=1)
-        self.vertices = [
-            {vertex for vertex, column in columns.items() if row[column]} for row in is_used
-        ]
+                    squares[is_there, self.columns[place]] = float(error * error)
+        self.sums, self.n_vertices = squares.sum(axis=1), self.is_used.sum(axis=1)
 
     def best(self, weight):
         """The vertices of the smallest mesh of the least sum of squares + weight × vertices."""
-        if weight == float("inf"):
-            return self.vertices[int(self.n_vertices.argmin())]
-        costs = self.sums + weight * self.n_vertices
+        costs = self.n_vertices if weight == np.inf else self.sums + weight * self.n_vertices
         best = np.flatnonzero(costs == costs.min())
-        smallest = best[self.n_vertices[best].argmin()]
-        for other in best:
-            assert self.vertices[smallest] <= self.vertices[other]
-        return self.vertices[smallest]
+        smallest = self.is_used[best[self.n_vertices[best].argmin()]]
+        assert (self.is_used[best] >= smallest).all()
+        return {place for place, column in self.columns.items() if smallest[column]}
+
+
+def outline(heights, keep):
+    return frozenset(naive.least(heights, float("inf"), keep)[0])
+
+
+def free_vertices(heights):
+    """Those of which a mesh may have any, as far as it is closed."""
+    size, exact = naive.lattice_size(heights.shape), naive.exact_heights(heights)
+    return [v for v in naive.bisections(size) if naive.gain(v, exact, size) is not None]
+
+
+def membership(size, base, free, columns):
+    """A row for each closed set that holds the base and none but free ones: which it holds."""
+    if size <= 4:
+        has = membership_in_all(size)
+        held = np.array([place in base for place in columns])
+        allowed = held | np.array([place in set(free) for place in columns])
+        return has[(has >= held).all(axis=1) & (has <= allowed).all(axis=1)]
+    sets = naive.closed_sets(size, base, free)
+    return np.array([[place in kept for place in columns] for kept in sets])
+
+
+@cache
+def membership_in_all(size):
+    places = list(np.ndindex(size + 1, size + 1))
+    return np.array([[place in kept for place in places] for kept in naive.closed_sets(size)])
 
 
 def test_there_are_as_many_meshes_as_should_be():
-    assert len(AllMeshes(np.zeros((5, 5))).sets) == len(naive.conforming_meshes(4)) == 5489
+    assert len(AllMeshes(np.zeros((5, 5))).sums) == len(naive.conforming_meshes(4)) == 5489
 
 
 @pytest.mark.parametrize("terrain", terrains.GALLERY)
@@ -157,27 +169,26 @@ def test_is_the_best_of_all_meshes_around_voids_and_what_is_kept(heights, weight
     assert vertex_set(mesh, grid) == AllMeshes(grid.heights, wanted).best(weight)
 
 
+def size_of(mesh, name):
+    return mesh.n_vertices if name == "max_vertices" else mesh.n_triangles
+
+
 @given(terrains.rasters(largest=5), st.sampled_from(["max_vertices", "max_triangles"]))
 def test_a_budget_gets_at_least_the_best_set_that_fits(heights, name):
     grid = grid_of(heights)
-    meshes = AllMeshes(grid.heights)
-    for budget in range(2, 33, 3):
-        try:
-            mesh = rtin.coarsen(grid, norm="rms", **{name: budget})
-        except ValueError as error:
-            assert f"{name} must be at least" in str(error)
+    meshes = [rtin.coarsen(grid, norm="rms", weight=weight) for weight in WEIGHTS]
+    sets = [vertex_set(mesh, grid) for mesh in meshes]
+    least = size_of(meshes[-1], name)
+    for budget in {least, least + 1, least + 4, *(size_of(mesh, name) - 1 for mesh in meshes)}:
+        if budget < least:
             continue
+        mesh = rtin.coarsen(grid, norm="rms", **{name: budget})
         validity.check(mesh)
-        assert (mesh.n_vertices if name == "max_vertices" else mesh.n_triangles) <= budget
-        ours = sum_of_squares(mesh, grid)
-        for weight in WEIGHTS:
-            best = rtin.coarsen(grid, norm="rms", weight=weight)
-            n_best = best.n_vertices if name == "max_vertices" else best.n_triangles
-            if n_best <= budget:
-                assert vertex_set(best, grid) <= vertex_set(mesh, grid)
-                assert ours <= sum_of_squares(best, grid) + 1e-9
-        if name == "max_vertices":
-            assert ours >= meshes.sums[meshes.n_vertices <= budget].min() - 1e-9
+        assert size_of(mesh, name) <= budget
+        for best, vertices in zip(meshes, sets, strict=True):
+            if size_of(best, name) <= budget:
+                assert vertices <= vertex_set(mesh, grid)
+                assert sum_of_squares(mesh, grid) <= sum_of_squares(best, grid)
 
 
 def test_a_budget_that_a_best_set_fills_gets_that_set():
@@ -230,29 +241,31 @@ def test_rms_is_below_that_of_the_other_meshes_of_as_many_vertices(real):
 @pytest.mark.parametrize("name", ["max_vertices", "max_triangles"])
 def test_the_room_of_a_budget_is_used_and_never_exceeded(real, name):
     grid = REAL[real]()
-    outline = rtin.coarsen(grid, max_error=np.inf)
-    least = outline.n_vertices if name == "max_vertices" else outline.n_triangles
+    least = size_of(rtin.coarsen(grid, max_error=np.inf), name)
+    lossless = size_of(rtin.coarsen(grid, max_error=0), name)
     for more in (0, 1, 17, 1777, 9000):
         mesh = rtin.coarsen(grid, norm="rms", **{name: least + more})
-        size = mesh.n_vertices if name == "max_vertices" else mesh.n_triangles
-        assert least + more - 1 <= size <= least + more
+        most = min(least + more, lossless)
+        assert most - 1 <= size_of(mesh, name) <= most
         validity.check(mesh)
 
 
-def test_ties_are_filled_up_to_the_last_vertex():
-    """Equal pits: the best meshes have none of them or all."""
-    heights = np.zeros((65, 65))
-    heights[2:-1:4, 2:-1:4] = -16.0
+def test_of_equal_parts_as_many_are_kept_as_fit():
+    """Sixteen pits that gain the same and don't need each other, between vertices to keep."""
+    heights, keep = np.zeros((129, 129)), np.zeros((129, 129), bool)
+    heights[12::32, 12::32] = -16.0
+    keep[::8, ::8] = True
     grid = grid_of(heights)
-    for budget in range(200, 1200, 77):
-        mesh = rtin.coarsen(grid, norm="rms", max_vertices=budget)
-        assert mesh.n_vertices <= budget
-    everything = rtin.coarsen(grid, max_error=0).n_vertices
-    rms = [
-        rtin.vertical_error(rtin.coarsen(grid, norm="rms", max_vertices=budget), grid).rms
-        for budget in (everything // 2, everything - 60, everything)
-    ]
-    assert rms[0] > rms[1] > rms[2] == 0.0
+    without = rtin.coarsen(grid, norm="rms", weight=np.inf, keep=keep).n_vertices
+    everything = rtin.coarsen(grid, max_error=0, keep=keep).n_vertices
+    n_each, rest = divmod(everything - without, 16)
+    assert rest == 0
+    for n_pits in (0, 1, 5, 15, 16):
+        for more in (0, n_each - 1):
+            budget = without + n_pits * n_each + more
+            mesh = rtin.coarsen(grid, norm="rms", max_vertices=budget, keep=keep)
+            assert np.count_nonzero(mesh.vertices[:, 2]) == n_pits
+            assert sum_of_squares(mesh, grid) == 256.0 * (16 - n_pits)
 
 
 def test_a_budget_of_everything_is_lossless():

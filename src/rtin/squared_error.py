@@ -60,34 +60,21 @@ def keep_best(gains: _Gains, kept: _Kept, weight: float) -> None:
 
 def may_hold_all(gains: _Gains, kept: _Kept, room: _Room) -> bool:
     """Return whether there is room for all that gain: the lossless mesh has every one of them."""
-    return bool(_not_kept_above(gains, kept, 0.0).size <= room[0])
+    return bool(np.count_nonzero(_above(gains, kept, 0.0)) <= room[0])
 
 
 def keep_within(gains: _Gains, kept: _Kept, room: _Room) -> None:
     """Keep, besides a closed set, as many vertices as there is room for.
 
-    The best set for the least possible weight, and what then still fits, chosen greedily. ``room``
-    is how many vertices and how many triangles may be added; of either, some may be left.
+    The best set for the least possible weight. Then parts of the next one, which are as good; and
+    greedily what still fits. ``room`` is how many vertices and how many triangles may be added.
     """
-    from rtin._kernels.squared_error import best_closed_set, gains_of, keep_all, keep_greedily
+    from rtin._kernels.squared_error import keep_greedily, keep_parts
 
     number, room = _no_numbers(gains), room.copy()
-    least_weight, finer = _keep_until_too_fine(gains, kept, room, number)
-    weight = least_weight
-    while finer.size > 0:
-        # Where both sets, without these and with them, are equally good, lies what is between.
-        mean = float(gains_of(finer, gains).mean())
-        weight = min(mean, _STEP * least_weight)
-        chosen = best_closed_set(finer, gains, weight, number)
-        if not chosen.any() or (chosen.all() and weight == mean):
-            break
-        needed = _needed(gains, finer[chosen])
-        if (needed <= room).all():
-            keep_all(kept, finer[chosen])
-            room -= needed
-            finer = finer[~chosen]
-        else:
-            finer, least_weight = finer[chosen], weight
+    weight, finer = _keep_until_too_fine(gains, kept, room, number)
+    weight, finer = _keep_up_to_the_last(gains, kept, room, number, weight, finer)
+    room = keep_parts(gains.shape, kept, finer, number, room)
     for share in _FILLING:
         if room.min() > 0:
             items = _not_kept_above(gains, kept, share * weight)
@@ -116,9 +103,42 @@ def _keep_until_too_fine(
     return weight, np.empty(0, np.int64)
 
 
+def _keep_up_to_the_last(
+    gains: _Gains,
+    kept: _Kept,
+    room: _Room,
+    number: NDArray[np.int32],
+    least_weight: float,
+    finer: _Items,
+) -> tuple[float, _Items]:
+    """Keep the last best set that fits; return the weight of the next, and what that has more.
+
+    ``finer`` is what a set has more that is too large, the best one for ``least_weight``.
+    """
+    from rtin._kernels.squared_error import best_closed_set, gains_of, keep_all
+
+    weight = least_weight
+    while finer.size > 0:
+        # For their mean gain, the sets with and without all these are equally good; what is best
+        # lies between, or there is nothing between. Large gains would make for small steps.
+        mean = float(gains_of(finer, gains).mean())
+        weight = min(mean, _STEP * least_weight)
+        chosen = best_closed_set(finer, gains, weight, number)
+        if not chosen.any() or (chosen.all() and weight == mean):
+            break
+        needed = _needed(gains, finer[chosen])
+        if (needed <= room).all():
+            keep_all(kept, finer[chosen])
+            room -= needed
+            finer = finer[~chosen]
+        else:
+            finer, least_weight = finer[chosen], weight
+    return weight, finer
+
+
 def _first_weight(gains: _Gains, kept: _Kept, room: _Room) -> float:
     """Return a weight whose best set may be about as large as the room."""
-    found = gains[(gains > 0.0) & (kept[: gains.shape[0], : gains.shape[1]] == 0)]
+    found = gains[_above(gains, kept, 0.0)]
     wanted = int(min(room[0], room[1] // 2))
     if found.size == 0:
         return 0.0
@@ -140,10 +160,15 @@ def _needed(gains: _Gains, items: _Items) -> _Items:
     return np.array([items.size, triangles_gained_by(items, *gains.shape)])
 
 
+def _above(gains: _Gains, kept: _Kept, least: float) -> NDArray[np.bool_]:
+    """Return which vertices gain more than that, and are not kept."""
+    return np.asarray((gains > least) & (kept[: gains.shape[0], : gains.shape[1]] == 0))
+
+
 def _not_kept_above(gains: _Gains, kept: _Kept, least: float) -> _Items:
     from rtin._kernels.lattice import VERTEX, pack
 
-    rows, cols = np.nonzero((gains > least) & (kept[: gains.shape[0], : gains.shape[1]] == 0))
+    rows, cols = np.nonzero(_above(gains, kept, least))
     return np.asarray(pack(rows, cols, VERTEX))
 
 

@@ -394,6 +394,48 @@ def drop_all(kept, items):
 
 
 @jit
+def append_neighbours(heads, incoming, part, n_part, is_listed, i):
+    """Append the vertices at the other ends of a vertex's arcs, those not listed yet."""
+    for arc in range(2 * i, 2 * i + 2):
+        if heads[arc] >= 0 and not is_listed[heads[arc]]:
+            part[n_part], is_listed[heads[arc]] = heads[arc], True
+            n_part += 1
+    for arc in incoming[i]:
+        if arc >= 0 and not is_listed[arc >> 1]:
+            part[n_part], is_listed[arc >> 1] = arc >> 1, True
+            n_part += 1
+    return n_part
+
+
+@jit
+def keep_parts(shape, kept, items, number, room):
+    """Keep one after another the parts of a list that need nothing of each other, where they fit.
+
+    Returns how many vertices and triangles may still be added then.
+    """
+    heads, incoming = link(items, number)
+    room = room.copy()
+    is_listed = np.zeros(items.size, np.bool_)
+    part = np.empty(items.size, np.int64)
+    for first in range(items.size):
+        if is_listed[first]:
+            continue
+        part[0], is_listed[first] = first, True
+        n_part, n_looked_at = 1, 0
+        while n_looked_at < n_part:
+            i = part[n_looked_at]
+            n_part = append_neighbours(heads, incoming, part, n_part, is_listed, i)
+            n_looked_at += 1
+        vertices = items[part[:n_part]]
+        n_triangles = triangles_gained_by(vertices, shape[0], shape[1])
+        if n_part <= room[0] and n_triangles <= room[1]:
+            keep_all(kept, vertices)
+            room[0] -= n_part
+            room[1] -= n_triangles
+    return room
+
+
+@jit
 def gain_with_closure(gains, kept, item, stack, added):
     """Mean gain of a vertex and the ancestors that it needs; these, of which there are so many."""
     added, n_added = keep_with_closure(kept, item, stack, added, 0)
