@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rtin import _parallel
 from rtin.grid import Grid, lattice_size
 
 __all__ = ["keep_best", "keep_within", "may_hold_all", "vertex_gains"]
@@ -39,11 +40,15 @@ def vertex_gains(grid: Grid) -> _Gains:
     from rtin._kernels.squared_error import add_gains
 
     size = lattice_size(grid.shape)
-    gains = np.zeros(grid.shape)
+    gains, diagonals = np.zeros(grid.shape), np.zeros((2, size + 1))
     n_depths = 2 * (size.bit_length() - 1)
     if n_depths > 0:
-        for root in ([[0, 0, size], [size, 0, size]], [[size, size, 0], [0, size, 0]]):
-            add_gains(grid.heights, n_depths, np.array(root), gains)
+        roots = np.array([[[0, 0, size], [size, 0, size]], [[size, size, 0], [0, size, 0]]])
+        common = (grid.heights, n_depths)
+        tasks = [(*common, roots[i], gains, diagonals[i]) for i in (0, 1)]
+        _parallel.run(add_gains, tasks)
+        at = np.arange(min(grid.shape))
+        gains[at, at] = diagonals.sum(axis=0)[at]
         _add_along_the_border(grid, size, gains)
     return gains
 

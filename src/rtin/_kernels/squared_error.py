@@ -100,8 +100,11 @@ def join_halves(surplus, halves, apex_apex, apex_end, whole):
 
 
 @jit
-def add_gains(heights, n_depths, root, gains):
-    """Add the gains in one of the root triangles: depth first, each after its halves."""
+def add_gains(heights, n_depths, root, gains, diagonal):
+    """Add the gains in one of the root triangles: depth first, each after its halves.
+
+    What the other root adds to as well, on the lattice's diagonal, goes to an array of its own.
+    """
     n_rows, n_cols = heights.shape
     apex_apex, apex_end = products_of_hats(n_depths)
     corners = np.empty((n_depths + 1, 2, 3), np.int64)
@@ -131,7 +134,9 @@ def add_gains(heights, n_depths, root, gains):
                 surplus += apex - apex
             whole = moments[depth - 1, n_done[depth - 1] - 1]
             gain = join_halves(surplus, moments[depth], apex_apex[depth], apex_end[depth], whole)
-            if row < n_rows and col < n_cols:
+            if row == col:
+                diagonal[row] = gain
+            elif row < n_rows and col < n_cols:
                 gains[row, col] += gain
             depth -= 1
 
