@@ -136,7 +136,7 @@ def membership_in_all(size):
 
 
 def test_there_are_as_many_meshes_as_should_be():
-    assert len(AllMeshes(np.zeros((5, 5))).sums) == len(naive.conforming_meshes(4)) == 5489
+    assert len(AllMeshes(np.zeros((5, 5))).sums) == 5489
 
 
 @pytest.mark.parametrize("terrain", terrains.GALLERY)

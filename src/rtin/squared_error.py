@@ -60,7 +60,7 @@ def keep_best(gains: _Gains, kept: _Kept, weight: float) -> None:
     """
     from rtin._kernels.squared_error import keep_all
 
-    keep_all(kept, _best(gains, kept, weight, _no_numbers(gains)))
+    keep_all(kept, _best(gains, kept, weight))
 
 
 def may_hold_all(gains: _Gains, kept: _Kept, room: _Room) -> bool:
@@ -76,19 +76,17 @@ def keep_within(gains: _Gains, kept: _Kept, room: _Room) -> None:
     """
     from rtin._kernels.squared_error import keep_greedily, keep_parts
 
-    number, room = _no_numbers(gains), room.copy()
-    weight, finer = _keep_until_too_fine(gains, kept, room, number)
-    weight, finer = _keep_up_to_the_last(gains, kept, room, number, weight, finer)
-    room = keep_parts(gains.shape, kept, finer, number, room)
+    room = room.copy()
+    weight, finer = _keep_until_too_fine(gains, kept, room)
+    weight, finer = _keep_up_to_the_last(gains, kept, room, weight, finer)
+    room = keep_parts(gains.shape, kept, finer, _no_numbers(gains), room)
     for share in _FILLING:
         if room.min() > 0:
             items = _not_kept_above(gains, kept, share * weight)
             room = keep_greedily(gains, kept, items, room)
 
 
-def _keep_until_too_fine(
-    gains: _Gains, kept: _Kept, room: _Room, number: NDArray[np.int32]
-) -> tuple[float, _Items]:
+def _keep_until_too_fine(gains: _Gains, kept: _Kept, room: _Room) -> tuple[float, _Items]:
     """Keep the best sets of falling weights while there is room; return the first too large.
 
     Of that one, what it has more; before it, its weight. ``room`` is left with what remains.
@@ -98,7 +96,7 @@ def _keep_until_too_fine(
     weight = _first_weight(gains, kept, room)
     least = _LEAST_SHARE * weight
     while weight > least:
-        finer = _best(gains, kept, weight, number)
+        finer = _best(gains, kept, weight)
         needed = _needed(gains, finer)
         if (needed > room).any():
             return weight, finer
@@ -112,7 +110,6 @@ def _keep_up_to_the_last(
     gains: _Gains,
     kept: _Kept,
     room: _Room,
-    number: NDArray[np.int32],
     least_weight: float,
     finer: _Items,
 ) -> tuple[float, _Items]:
@@ -122,7 +119,7 @@ def _keep_up_to_the_last(
     """
     from rtin._kernels.squared_error import best_closed_set, gains_of, keep_all
 
-    weight = least_weight
+    number, weight = _no_numbers(gains), least_weight
     while finer.size > 0:
         # For their mean gain, the sets with and without all these are equally good; what is best
         # lies between, or there is nothing between. Large gains would make for small steps.
@@ -151,9 +148,10 @@ def _first_weight(gains: _Gains, kept: _Kept, room: _Room) -> float:
     return float(np.partition(found, place)[place])
 
 
-def _best(gains: _Gains, kept: _Kept, weight: float, number: NDArray[np.int32]) -> _Items:
+def _best(gains: _Gains, kept: _Kept, weight: float) -> _Items:
     from rtin._kernels.squared_error import best_closed_set, candidates
 
+    number = _no_numbers(gains)
     items = candidates(gains, weight, kept, number)
     return np.asarray(items[best_closed_set(items, gains, weight, number)])
 
