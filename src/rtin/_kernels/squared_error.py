@@ -443,7 +443,8 @@ def keep_parts(shape, kept, items, number, room):
 @jit
 def gain_with_closure(gains, kept, item, stack, added):
     """Mean gain of a vertex and the ancestors that it needs; these, of which there are so many."""
-    added, n_added = keep_with_closure(kept, item, stack, added, 0)
+    stack[0] = item
+    added, n_added = keep_with_closure(kept, stack, 1, added, 0)
     drop_all(kept, added[:n_added])
     return gains_of(added[:n_added], gains).sum() / n_added, added, n_added
 
