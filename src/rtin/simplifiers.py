@@ -47,6 +47,7 @@ __all__ = [
 
 _NEAR = 0.005  # of a count: nearer to it a slow search does not go
 _MOST_RUNS = 60  # of a search
+_NO_AREA = 1e-6  # of a cell
 _ROUNDED = 1e-4  # of a cell: what VTK's 32-bit coordinates may be off
 
 
@@ -295,9 +296,7 @@ def _tidied(made: _Surface, grid: Grid) -> TriangleMesh:
     """Return a mesh without triangles that have no area from above, nor vertices without any."""
     triangles = np.asarray(made.triangles, np.int64).reshape(-1, 3)
     turned = TriangleMesh.from_triangles(made.vertices, triangles)
-    span = np.ptp(made.vertices[:, :2], axis=0).max()
-    has_area = turned.signed_areas() > 1e-12 * span * span / max(1, grid.heights.size)
-    triangles = turned.triangles[has_area]
+    triangles = turned.triangles[turned.signed_areas() > _NO_AREA * abs(grid.transform.determinant)]
     if not len(triangles):
         raise NotSuited("nothing is left of the terrain")
     used = distinct(triangles.ravel())
