@@ -73,7 +73,8 @@ def _choose(points: _Points, triangles: _Triangles, n_most: int) -> _Numbers:
 def _angles(points: _Points, triangles: _Triangles) -> tuple[_Numbers, _Points]:
     """Return the ends of each edge, and the angle between the normals beside it.
 
-    An edge of the outline has one triangle only; it gets the smaller angle of that one's other sides.
+    An edge of the outline has one triangle only; it gets the smaller angle of that one's
+    other sides.
     """
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -163,14 +163,14 @@ def simplified(
     if name not in SIMPLIFIERS:
         raise ValueError(f"a simplifier is one of {', '.join(SIMPLIFIERS)}, got {name!r}")
     option, value = the_only_option(max_error=max_error, max_vertices=max_vertices)
-    limit = as_height(option, value) if option == "max_error" else _as_count(value)
+    knob: _Knob = "max_error" if option == "max_error" else "max_vertices"
+    height = as_height(option, value) if option == "max_error" else 0.0
+    count = _as_count(value) if option == "max_vertices" else 0
     runs = SIMPLIFIERS[name]._begin(grid)
-    if option in runs:
-        knob: _Knob = "max_error" if option == "max_error" else "max_vertices"
-        return _timed(grid, knob, runs[knob], limit)
-    (knob, run), *_ = runs.items()
-    trial = _Trial(grid, name, knob, run, option, limit)
-    return trial.within_count() if option == "max_vertices" else trial.within_error()
+    if knob in runs:
+        return _timed(grid, knob, runs[knob], count or height)
+    search = _Search(grid, name, *next(iter(runs.items())))
+    return search.within_count(count) if count else search.within_error(height)
 
 
 def _as_count(value: Any) -> int:  # noqa: ANN401
@@ -189,60 +189,100 @@ def full_mesh(grid: Grid) -> TriangleMesh:
 # --- searches -----------------------------------------------------------------------------------
 
 
-class _Trial(NamedTuple):
-    """One simplifier on one grid, whose setting is searched."""
+class _Settings(NamedTuple):
+    """What a knob can be set to, from the finest mesh to the coarsest."""
+
+    finest: float
+    coarsest: float
+    between: Callable[[float, float], float]
+    are_close: Callable[[float, float], bool]
+
+
+def _settings(grid: Grid, knob: _Knob) -> _Settings:
+    rows, cols = grid.shape
+    if knob == "tolerance":
+        relief = float(np.nanmax(grid.heights)) - float(np.nanmin(grid.heights))
+        return _Settings(
+            0.0, 2.0 * relief + 1.0,
+            between=lambda one, other: 0.5 * (one + other),
+            are_close=lambda one, other: abs(one - other) <= 1e-9 * (relief + 1.0),
+        )  # fmt: skip
+    if knob == "step":
+        return _Settings(1, max(rows, cols) - 1, lambda a, b: int(a + b) // 2, _are_neighbours)
+    most = rows * cols if knob == "max_vertices" else 2 * (rows - 1) * (cols - 1)
+    least = 4 if knob == "max_vertices" else 2
+    # Counts that differ by a factor are alike, hence the geometric mean.
+    return _Settings(most, least, lambda a, b: math.isqrt(int(a) * int(b)), _are_neighbours)
+
+
+def _are_neighbours(one: float, other: float) -> bool:
+    return abs(one - other) <= 1
+
+
+class _Search(NamedTuple):
+    """One simplifier on one grid, whose setting is searched by bisection."""
 
     grid: Grid
     name: str
     knob: _Knob
     run: _Run
-    option: str
-    limit: float
 
     def at(self, setting: float) -> Simplified:
         return _timed(self.grid, self.knob, self.run, setting)
 
-    def within_count(self) -> Simplified:
+    def within_count(self, limit: int) -> Simplified:
         """Return the finest mesh found that has not more vertices than the limit."""
-        fine, coarse = self._ends()
-        best = self.at(coarse)
-        if best.mesh.n_vertices > self.limit:
-            raise NotSuited(
-                f"{self.name} does not get below {best.mesh.n_vertices} vertices on this grid, "
-                f"{int(self.limit)} are wanted"
-            )
-        wanted = (1.0 - _NEAR * (self.knob == "max_triangles")) * self.limit
-        setting = self._first_guess(fine, coarse)
+        fine, coarse, between, are_close = _settings(self.grid, self.knob)
+        if limit >= self.grid.n_samples:
+            return self.at(fine)
+        best, enough = None, limit
+        setting = between(fine, coarse)
+        if self.knob == "max_triangles":
+            enough = math.ceil((1.0 - _NEAR) * limit)
+            setting = min(fine, max(coarse, _triangles_of(limit)))
         for _ in range(_MOST_RUNS):
             found = self.at(setting)
-            excess = found.mesh.n_vertices - self.limit
-            if excess > 0:
+            count = found.mesh.n_vertices
+            if count > limit:
                 fine = setting
             else:
-                coarse, best = setting, max(best, found, key=lambda one: one.mesh.n_vertices)
-            if best.mesh.n_vertices >= wanted or self._settled(fine, coarse):
+                coarse = setting
+                best = found if best is None or count > best.mesh.n_vertices else best
+            if enough <= count <= limit or are_close(fine, coarse):
                 break
-            setting = self._between(fine, coarse)
-            if self.knob == "max_triangles" and coarse < found.setting - 2 * excess < fine:
-                setting = found.setting - 2 * excess  # a vertex is worth two triangles
-        return best
+            setting = between(fine, coarse)
+            secant = found.setting - 2 * (count - limit)  # a vertex is worth two triangles
+            if self.knob == "max_triangles" and coarse < secant < fine:
+                setting = secant
+        return best or self._coarsest(limit)
 
-    def within_error(self) -> Simplified:
+    def _coarsest(self, limit: int) -> Simplified:
+        found = self.at(_settings(self.grid, self.knob).coarsest)
+        if found.mesh.n_vertices > limit:
+            raise NotSuited(
+                f"{self.name} does not get below {found.mesh.n_vertices} vertices on this grid, "
+                f"got max_vertices={limit}"
+            )
+        return found
+
+    def within_error(self, limit: float) -> Simplified:
         """Return the coarsest mesh found whose vertical error is not above the limit."""
-        fine, coarse = self._ends()
-        best = self.at(fine)
-        if self._error_of(best) > self.limit:
-            raise NotSuited(f"{self.name} does not get as near as {self.limit:g} to this grid")
-        setting = coarse
+        fine, coarse, between, are_close = _settings(self.grid, self.knob)
+        best, setting = self.at(fine), coarse
+        if self._error_of(best) > limit:
+            raise NotSuited(
+                f"{self.name} gets no nearer to this grid than {self._error_of(best):g}"
+            )
+        is_count = self.knob in ("max_triangles", "max_vertices")
         for _ in range(_MOST_RUNS):
             found = self.at(setting)
-            if self._error_of(found) <= self.limit:
+            if self._error_of(found) <= limit:
                 fine, best = setting, found
             else:
                 coarse = setting
-            if self._settled(fine, coarse) or abs(fine - coarse) <= _NEAR * self._least_count(fine):
+            if are_close(fine, coarse) or (is_count and fine - coarse <= _NEAR * fine):
                 break
-            setting = self._between(fine, coarse)
+            setting = between(fine, coarse)
         return best
 
     def _error_of(self, found: Simplified) -> float:
@@ -251,37 +291,13 @@ class _Trial(NamedTuple):
         except ValueError:  # no sample is covered
             return math.inf
 
-    def _ends(self) -> tuple[float, float]:
-        """Return the finest and the coarsest setting."""
-        rows, cols = self.grid.shape
-        if self.knob == "step":
-            return 1, max(rows, cols) - 1
-        if self.knob == "tolerance":
-            return 0.0, 2.0 * float(np.nanmax(self.grid.heights) - np.nanmin(self.grid.heights)) + 1
-        return (2 * (rows - 1) * (cols - 1), 2) if self.knob == "max_triangles" else (rows * cols, 4)
 
-    def _first_guess(self, fine: float, coarse: float) -> float:
-        if self.knob != "max_triangles":
-            return self._between(fine, coarse)
-        # By Euler's formula, if the border has as many vertices as a square's of evenly spread ones
-        # would, or half of them.
-        guess = int(2.0 * (self.limit - math.sqrt(self.limit)))
-        return min(max(guess, int(coarse)), int(fine))
+def _triangles_of(n_vertices: int) -> int:
+    """Return how many triangles a mesh of a square has, if its vertices are spread evenly.
 
-    def _between(self, fine: float, coarse: float) -> float:
-        if self.knob == "tolerance":
-            return 0.5 * (fine + coarse)
-        if self.knob == "step":
-            return int(fine + coarse) // 2
-        return math.isqrt(int(fine) * int(coarse))
-
-    def _settled(self, fine: float, coarse: float) -> bool:
-        if self.knob == "tolerance":
-            return abs(fine - coarse) <= 1e-9 * max(fine, coarse)
-        return abs(fine - coarse) <= 1
-
-    def _least_count(self, fine: float) -> float:
-        return fine if self.knob in ("max_triangles", "max_vertices") else 0.0
+    By Euler's formula, with half as many vertices on the border as that would give.
+    """
+    return int(2.0 * (n_vertices - math.sqrt(n_vertices)))
 
 
 def _timed(grid: Grid, knob: _Knob, run: _Run, setting: float) -> Simplified:
@@ -294,8 +310,8 @@ def _timed(grid: Grid, knob: _Knob, run: _Run, setting: float) -> Simplified:
 
 def _tidied(made: _Surface, grid: Grid) -> TriangleMesh:
     """Return a mesh without triangles that have no area from above, nor vertices without any."""
-    triangles = np.asarray(made.triangles, np.int64).reshape(-1, 3)
-    turned = TriangleMesh.from_triangles(made.vertices, triangles)
+    corners = np.asarray(made.triangles, np.int64).reshape(-1, 3)
+    turned = TriangleMesh.from_triangles(made.vertices, corners)
     triangles = turned.triangles[turned.signed_areas() > _NO_AREA * abs(grid.transform.determinant)]
     if not len(triangles):
         raise NotSuited("nothing is left of the terrain")
@@ -388,7 +404,8 @@ def _angle_merge(grid: Grid) -> dict[_Knob, _Run]:
 
     def run(count: int) -> _Surface:
         merged, made = merge_flat(points, triangles, count)
-        return _Surface(_world(grid, merged[:, 1] / -south, merged[:, 0] / east, merged[:, 2]), made)
+        col, row, z = merged[:, 0] / east, merged[:, 1] / -south, merged[:, 2]
+        return _Surface(_world(grid, row, col, z), made)
 
     return {"max_vertices": run}
 
