@@ -254,7 +254,10 @@ class _Search(NamedTuple):
             secant = found.setting - 2 * (count - limit)  # a vertex is worth two triangles
             if self.knob == "max_triangles" and coarse < secant < fine:
                 setting = secant
-        return best or self._coarsest(limit)
+        best = best or self._coarsest(limit)
+        if best.mesh.n_triangles == 0:
+            raise NotSuited(f"{self.name} leaves nothing of this grid, got max_vertices={limit}")
+        return best
 
     def _coarsest(self, limit: int) -> Simplified:
         found = self.at(_settings(self.grid, self.knob).coarsest)
@@ -313,9 +316,7 @@ def _tidied(made: _Surface, grid: Grid) -> TriangleMesh:
     corners = np.asarray(made.triangles, np.int64).reshape(-1, 3)
     turned = TriangleMesh.from_triangles(made.vertices, corners)
     triangles = turned.triangles[turned.signed_areas() > _NO_AREA * abs(grid.transform.determinant)]
-    if not len(triangles):
-        raise NotSuited("nothing is left of the terrain")
-    used = distinct(triangles.ravel())
+    used = distinct(triangles.ravel().astype(np.int64))
     return TriangleMesh(made.vertices[used], np.searchsorted(used, triangles), grid.crs)
 
 
@@ -325,10 +326,14 @@ def _tidied(made: _Surface, grid: Grid) -> TriangleMesh:
 def _rtin(grid: Grid) -> dict[_Knob, _Run]:
     for options in ({"max_error": 0.0}, {"max_vertices": 4}):  # compiling is none of the work
         coarsen(Grid(np.zeros((2, 2), grid.heights.dtype)), **options)
-    return {
-        "max_error": lambda height: coarsen(grid, max_error=height),
-        "max_vertices": lambda count: coarsen(grid, max_vertices=count),
-    }
+
+    def within(count: int) -> TriangleMesh:
+        try:
+            return coarsen(grid, max_vertices=count)
+        except ValueError as reason:
+            raise NotSuited(str(reason)) from None
+
+    return {"max_error": lambda height: coarsen(grid, max_error=height), "max_vertices": within}
 
 
 def _threshold(grid: Grid) -> dict[_Knob, _Run]:
