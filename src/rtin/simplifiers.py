@@ -418,10 +418,13 @@ def _angle_merge(grid: Grid) -> dict[_Knob, _Run]:
 def _quadric(grid: Grid) -> dict[_Knob, _Run]:
     library = _library("fast_simplification", "fast-simplification")
     solid = _Solid.of(grid)
+    # Its passes have fixed tolerances, up to some that kilometres between samples would be beyond.
+    unit = math.sqrt(math.prod(solid.cell(grid)))
+    scaled = solid.points / unit
 
     def run(count: int) -> _Surface:
-        points, triangles = library.simplify(solid.points, solid.triangles, target_count=count)
-        return _Surface(solid.placement.to_world(points), triangles)
+        points, triangles = library.simplify(scaled, solid.triangles, target_count=count)
+        return _Surface(solid.placement.to_world(points * unit), triangles)
 
     return {"max_triangles": solid.unless_all(run)}
 
