@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rtin.coarsening import coarsen, coarsen_levels
     from rtin.conformity import Propagation, propagation
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
+    from rtin.distance import CertifiedDistance, SurfaceDistance, compare, hausdorff
     from rtin.grid import Grid
     from rtin.io import (
         from_skfem,
@@ -30,14 +31,18 @@ if TYPE_CHECKING:
 
 _MODULE_OF = {
     "AdaptiveMesh": "rtin.adaptive",
+    "CertifiedDistance": "rtin.distance",
     "Grid": "rtin.grid",
     "Propagation": "rtin.conformity",
+    "SurfaceDistance": "rtin.distance",
     "TriangleMesh": "rtin.mesh",
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
     "coarsen_levels": "rtin.coarsening",
+    "compare": "rtin.distance",
     "from_skfem": "rtin.io",
     "from_triangulation": "rtin.io",
+    "hausdorff": "rtin.distance",
     "plot": "rtin.plotting",
     "propagation": "rtin.conformity",
     "read_grid": "rtin.io",
@@ -54,15 +59,19 @@ _SUBMODULES = ("io", "samples", "validity")
 
 __all__ = [
     "AdaptiveMesh",
+    "CertifiedDistance",
     "Grid",
     "Propagation",
+    "SurfaceDistance",
     "TriangleMesh",
     "VerticalError",
     "__version__",
     "coarsen",
     "coarsen_levels",
+    "compare",
     "from_skfem",
     "from_triangulation",
+    "hausdorff",
     "plot",
     "propagation",
     "read_grid",

@@ -1,0 +1,511 @@
+"""Distances between surfaces: sampled as Metro does, and certified.
+
+The distance of a point p from a surface S is the smallest Euclidean distance from p to a point of
+S. Between two surfaces A and B there are, from A to B (*forward*) and from B to A (*backward*), the
+maximum of it over the first surface, its mean and its root mean square; the larger of the two
+maxima is the Hausdorff distance (Suárez and Plaza, §3, definitions 1 to 4). ``compare`` estimates
+all of them from samples; ``hausdorff`` gives bounds of the maximum that hold.
+
+Sources: P. Cignoni, C. Rocchini and R. Scopigno, "Metro: measuring error on simplified surfaces",
+Computer Graphics Forum 17(2), 1998.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from dataclasses import field as hidden
+from functools import cached_property
+from itertools import pairwise
+from threading import Lock
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin import _parallel
+from rtin._number import as_number
+from rtin._sampling import SAMPLINGS, Sampling, SurfaceSamples, samples_of
+from rtin._surfaces import Local, Surface, local_system, surface_of
+from rtin.grid import Grid
+from rtin.mesh import TriangleMesh
+
+__all__ = [
+    "SAMPLINGS",
+    "CertifiedDistance",
+    "Field",
+    "OneSided",
+    "Sampling",
+    "SurfaceDistance",
+    "compare",
+    "hausdorff",
+]
+
+Progress: TypeAlias = Callable[[float], None]
+_Floats = NDArray[np.float64]
+
+_SAMPLES_PER_TRIANGLE = 10  # Metro's
+_SMALLEST_TOLERANCE = 1e-12  # of the surfaces' extent
+_DEFAULT_TOLERANCE = 1e-3  # of the distance
+_MOST_TASKS = 16
+
+
+class Field(NamedTuple):
+    """Samples of a surface, and how far each is from the other one.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (n, 3)
+        In the units of the CRS and of the heights.
+    distances : ndarray of float64, shape (n,)
+    areas : ndarray of float64, shape (n,)
+        Area that a sample stands for; 0 for those at vertices and on edges.
+    """
+
+    points: _Floats
+    distances: _Floats
+    areas: _Floats
+
+
+@dataclass(frozen=True, eq=False)
+class OneSided:
+    """Distances of the samples of one surface from the other one, in the unit of the heights.
+
+    Attributes
+    ----------
+    max, mean, rms : float
+        Over all samples alike, as Metro has them.
+    area_mean, area_rms : float
+        Over the samples inside triangles, each weighted by the area that it stands for: these
+        estimate the surface integrals of the definitions. NaN where no sample is inside one.
+    place : (float, float, float)
+        The first sample at the largest distance, in the units of the CRS and of the heights.
+    n_samples : int
+    field : Field
+        All samples, computed again when first asked for: 40 bytes a sample.
+    """
+
+    max: float
+    mean: float
+    rms: float
+    area_mean: float
+    area_rms: float
+    place: tuple[float, float, float]
+    n_samples: int
+    _histogram: NDArray[np.int64] = hidden(repr=False)
+    _way: _Way = hidden(repr=False)
+
+    @cached_property
+    def field(self) -> Field:
+        """All samples with their distances and areas."""
+        tasks = [(number,) for number in range(self._way.samples.surface.n_pieces)]
+        parts = _parallel.run(self._way.field_of_piece, tasks)
+        points, distances, areas = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Field(self._way.local.to_world(points), distances, areas)
+
+    def quantile(self, share: float) -> float:
+        """Return the distance that so large a share of all samples does not exceed.
+
+        Within 0.05 % of the sample's distance, but for those below 1e-38.
+
+        Raises
+        ------
+        ValueError
+            If ``share`` is not between 0 and 1.
+        """
+        if not 0.0 <= share <= 1.0:
+            raise ValueError(f"a share between 0 and 1 is wanted, got {share}")
+        counts = np.cumsum(self._histogram)
+        rank = max(1, int(np.ceil(share * self.n_samples)))
+        return min(self.max, _middle_of_bin(int(np.searchsorted(counts, rank))))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceDistance:
+    """How far two surfaces are from each other, from samples.
+
+    Attributes
+    ----------
+    forward, backward : OneSided
+        From the first surface to the second, and back.
+    hausdorff : float
+        The larger of both maxima: never more than the Hausdorff distance, and somewhat less where
+        no sample hits its place.
+    """
+
+    forward: OneSided
+    backward: OneSided
+
+    @property
+    def hausdorff(self) -> float:
+        """The larger of both maxima."""
+        return max(self.forward.max, self.backward.max)
+
+    def __repr__(self) -> str:
+        sides = "; ".join(
+            f"{name} max {side.max:.6g}, rms {side.rms:.6g}, mean {side.mean:.6g} "
+            f"over {side.n_samples} samples"
+            for name, side in (("forward", self.forward), ("backward", self.backward))
+        )
+        return f"<SurfaceDistance {sides}>"
+
+
+class Bounds(NamedTuple):
+    """Bounds of the largest distance from one surface to another.
+
+    Attributes
+    ----------
+    lower, upper : float
+    place : (float, float, float)
+        A point of the surface that is ``lower`` from the other one.
+    """
+
+    lower: float
+    upper: float
+    place: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CertifiedDistance:
+    """Bounds of the Hausdorff distance, in the unit of the heights.
+
+    Attributes
+    ----------
+    forward, backward : Bounds
+        Of the largest distance from the first surface to the second, and back.
+    """
+
+    forward: Bounds
+    backward: Bounds
+
+    @property
+    def lower(self) -> float:
+        """The Hausdorff distance is at least this."""
+        return max(self.forward.lower, self.backward.lower)
+
+    @property
+    def upper(self) -> float:
+        """The Hausdorff distance is at most this."""
+        return max(self.forward.upper, self.backward.upper)
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """A point of one surface that is ``lower`` from the other one."""
+        return max(self.forward, self.backward).place
+
+
+def compare(
+    mesh_a: TriangleMesh | Grid,
+    mesh_b: TriangleMesh | Grid,
+    sampling: Sampling = "subdivision",
+    *,
+    samples: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> SurfaceDistance:
+    """Return how far two surfaces are from each other, in both directions, as Metro measures it.
+
+    Samples are the corners of all triangles, then points on edges, then points inside triangles;
+    from each the distance to the other surface is exact up to the rounding of float64. What they
+    do *not* promise is the maximum between them, which ``hausdorff`` bounds.
+
+    Parameters
+    ----------
+    mesh_a, mesh_b : TriangleMesh or Grid
+        A grid stands for its finest triangles. Vertices without a triangle are no part of a
+        surface; a triangle without an area counts as its edges. The surfaces need not overlap.
+    sampling : {"subdivision", "montecarlo", "similar", "vertices"}
+        Where a triangle's points lie: in the centres of 2**⌊log2 n⌋ parts, halved at the longest
+        edge each time; at random; on a regular lattice; or nowhere but at the corners.
+    samples : int, optional
+        How many to take of each surface, 10 times the larger number of triangles by default. Of
+        these every corner is one, whatever the number; edges get points at √(s) per unit of length
+        and triangles at s per unit of area, s being what is left over the surface's area. What is
+        left of a point is carried from edge to edge and from triangle to triangle. Some methods
+        take a little fewer.
+    seed : int
+        Of the random points: the same seed gives the same ones.
+    progress : callable, optional
+        Gets the share that is done, from 0 to 1, now and then.
+
+    Returns
+    -------
+    SurfaceDistance
+        In the unit of the heights, which x and y share unless the CRS is geographic: then x and y
+        are scaled to metres about the middle of both. The same bytes on any number of threads.
+
+    Raises
+    ------
+    TypeError
+        If a surface is neither a TriangleMesh nor a Grid, or a number is of the wrong kind.
+    ValueError
+        If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS,
+        ``sampling`` is unknown, or ``samples`` is less than one.
+    """
+    if sampling not in SAMPLINGS:
+        raise ValueError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
+    local, a, b = _both(mesh_a, mesh_b)
+    wanted = _SAMPLES_PER_TRIANGLE * max(a.n_triangles, b.n_triangles)
+    if samples is not None:
+        wanted = _as_count("samples", samples)
+    first_seed = _as_count("seed", seed, least=0)
+    done = _Progress(progress, a.n_pieces + b.n_pieces)
+    ways = [
+        _Way(samples_of(source, sampling, wanted, (first_seed, number)), target, local)
+        for number, (source, target) in enumerate([(a, b), (b, a)])
+    ]
+    return SurfaceDistance(*(_one_sided(way, done) for way in ways))
+
+
+def hausdorff(
+    mesh_a: TriangleMesh | Grid,
+    mesh_b: TriangleMesh | Grid,
+    *,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> CertifiedDistance:
+    """Return bounds of the Hausdorff distance between two surfaces that hold.
+
+    By branch and bound. The distance to one fixed triangle is convex, so that no point of a
+    triangle is farther from it than the farthest corner; for each triangle of one surface, the
+    triangles of the other nearest to its corners are tried. Where that leaves the maximum open,
+    the triangle is bisected at its longest edge.
+
+    Parameters
+    ----------
+    mesh_a, mesh_b : TriangleMesh or Grid
+        As for ``compare``.
+    tolerance : float, optional
+        How far the bounds may be apart, in the unit of the heights; by default a thousandth of the
+        largest distance found at a vertex. Never less than 1e-12 of the surfaces' extent.
+    progress : callable, optional
+        Gets the share that is done, from 0 to 1, now and then.
+
+    Returns
+    -------
+    CertifiedDistance
+        ``lower`` ≤ the Hausdorff distance ≤ ``upper`` ≤ ``lower`` + ``tolerance``, up to the
+        rounding of float64. The same bytes on any number of threads.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As ``compare`` does; ValueError if ``tolerance`` is not above zero.
+    """
+    wanted = None if tolerance is None else as_number("tolerance", tolerance)
+    if wanted is not None and not wanted > 0.0:
+        raise ValueError(f"tolerance must be above zero, in the heights' units, got {wanted}")
+    local, a, b = _both(mesh_a, mesh_b)
+    done = _Progress(progress, 2 * (a.n_pieces + b.n_pieces))
+    n_samples = 2 * max(a.n_triangles, b.n_triangles)
+    ways = [
+        _Way(samples_of(source, "similar", n_samples, (0,)), target, local)
+        for source, target in [(a, b), (b, a)]
+    ]
+    reached = [_farthest_sample(way, done) for way in ways]
+    gap = _DEFAULT_TOLERANCE * max(lower for lower, _ in reached) if wanted is None else wanted
+    gap = max(gap, _SMALLEST_TOLERANCE * local.extent)
+    return CertifiedDistance(
+        *(_bounds(way, *found, gap, done) for way, found in zip(ways, reached, strict=True))
+    )
+
+
+# --- from samples -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """From the samples of one surface to another surface, both in the local system."""
+
+    samples: SurfaceSamples
+    target: Surface
+    local: Local
+
+    def field_of_piece(self, number: int) -> tuple[_Floats, _Floats, _Floats]:
+        chunks = list(self.samples.of_piece(number))
+        points = np.concatenate([np.empty((0, 3)), *(chunk.points for chunk in chunks)])
+        areas = np.concatenate([np.empty(0), *(chunk.areas for chunk in chunks)])
+        return points, np.sqrt(self.target.nearest(points)[0]), areas
+
+
+@dataclass
+class _Statistics:
+    """What some samples say together."""
+
+    sums: _Floats  # as _kernels.sampling.summarise has them
+    histogram: NDArray[np.int64]
+    n_samples: int = 0
+    max: float = -1.0
+    place: _Floats | None = None
+
+
+def _statistics(way: _Way, done: _Progress) -> list[_Statistics]:
+    tasks = [(way, numbers, done) for numbers in _shares(way.samples.surface.n_pieces)]
+    parts: list[_Statistics] = _parallel.run(_statistics_of_pieces, tasks)
+    return parts
+
+
+def _farthest_sample(way: _Way, done: _Progress) -> tuple[float, _Floats]:
+    worst = max(_statistics(way, done), key=lambda part: part.max)
+    assert worst.place is not None, "each surface has a corner, and each corner is a sample"
+    return worst.max, worst.place
+
+
+def _one_sided(way: _Way, done: _Progress) -> OneSided:
+    parts = _statistics(way, done)
+    worst = max(parts, key=lambda part: part.max)
+    n_samples = sum(part.n_samples for part in parts)
+    total, total_squares, area, area_total, area_squares = np.sum(
+        [part.sums for part in parts], axis=0
+    ).tolist()
+    assert worst.place is not None, "each surface has a corner, and each corner is a sample"
+    return OneSided(
+        max=worst.max,
+        mean=total / n_samples,
+        rms=float(np.sqrt(total_squares / n_samples)),
+        area_mean=area_total / area if area > 0.0 else np.nan,
+        area_rms=float(np.sqrt(area_squares / area)) if area > 0.0 else np.nan,
+        place=_place(worst.place, way.local),
+        n_samples=n_samples,
+        _histogram=np.sum([part.histogram for part in parts], axis=0),
+        _way=way,
+    )
+
+
+def _statistics_of_pieces(way: _Way, numbers: range, done: _Progress) -> _Statistics:
+    """Return what the samples of some pieces say."""
+    from rtin._kernels.sampling import N_BINS, summarise
+
+    found = _Statistics(np.zeros(5), np.zeros(N_BINS, np.int64))
+    for number in numbers:
+        for points, areas in way.samples.of_piece(number):
+            distances, _ = way.target.nearest(points)
+            sums, worst = summarise(distances, areas, found.histogram)
+            found.sums += sums
+            found.n_samples += len(points)
+            if distances[worst] > found.max:
+                found.max, found.place = float(distances[worst]), points[worst]
+        done.step()
+    return found
+
+
+def _middle_of_bin(number: int) -> float:
+    """Return a distance of one bin of the histogram."""
+    from rtin._kernels.sampling import DROPPED_BITS
+
+    bits = np.array([number << DROPPED_BITS, (number + 1) << DROPPED_BITS], np.int32)
+    return float(bits.view(np.float32).astype(np.float64).mean()) if number else 0.0
+
+
+# --- bounds -------------------------------------------------------------------------------------
+
+
+def _bounds(way: _Way, lower: float, place: _Floats, gap: float, done: _Progress) -> Bounds:
+    """Return bounds of the largest distance, given a point and its distance.
+
+    All pieces start from that: what they find does not depend on which of them is first.
+    """
+    source, target, local = way.samples.surface, way.target, way.local
+    shares = list(_shares(source.n_pieces))
+    tasks = [(source, target, numbers, lower, gap, done) for numbers in shares]
+    upper = lower
+    for part_lower, part_upper, part_place in _parallel.run(_bounds_of_pieces, tasks):
+        upper = max(upper, part_upper)
+        if part_lower > lower:
+            lower, place = part_lower, part_place
+    return Bounds(lower, upper, _place(place, local))
+
+
+def _bounds_of_pieces(
+    source: Surface, target: Surface, numbers: range, lower: float, gap: float, done: _Progress
+) -> tuple[float, float, _Floats]:
+    from rtin._kernels.distance import bound_largest
+
+    upper, place = lower, np.full(3, np.nan)
+    for number in numbers:
+        piece = source.piece(number)
+        corners, triangles = np.unique(piece.triangles, return_inverse=True)
+        vertices = piece.vertices[corners]
+        known = target.nearest(vertices)
+        part_lower, part_upper, part_place = bound_largest(
+            vertices, triangles.reshape(-1, 3), *known, *target.search, lower, gap
+        )
+        upper = max(upper, part_upper)
+        if part_lower > lower:
+            lower, place = part_lower, np.array(part_place)
+        done.step()
+    return lower, upper, place
+
+
+# --- the door, and progress ---------------------------------------------------------------------
+
+
+def _both(
+    mesh_a: TriangleMesh | Grid, mesh_b: TriangleMesh | Grid
+) -> tuple[Local, Surface, Surface]:
+    for name, given in (("mesh_a", mesh_a), ("mesh_b", mesh_b)):
+        _require_surface(name, given)
+    if None not in (mesh_a.crs, mesh_b.crs) and mesh_a.crs != mesh_b.crs:
+        raise ValueError(
+            f"surfaces must have the same CRS, got {_name_of(mesh_a)} and {_name_of(mesh_b)}; "
+            "reproject one of them first"
+        )
+    local = local_system(mesh_a, mesh_b)
+    a, b = surface_of(mesh_a, local), surface_of(mesh_b, local)
+    for name, surface in (("mesh_a", a), ("mesh_b", b)):
+        if surface.n_triangles == 0:
+            raise ValueError(
+                f"{name} must have triangles, got a grid without three neighbouring heights"
+            )
+    return local, a, b
+
+
+def _require_surface(name: str, surface: TriangleMesh | Grid) -> None:
+    if isinstance(surface, Grid):
+        return
+    if not isinstance(surface, TriangleMesh):
+        raise TypeError(f"{name} must be a TriangleMesh or a Grid, got {type(surface).__name__}")
+    if surface.n_triangles == 0:
+        raise ValueError(f"{name} must have triangles, got a mesh without any")
+    used = surface.vertices[surface.triangles.ravel()]
+    if not np.isfinite(used).all():
+        bad = int(surface.triangles.ravel()[np.flatnonzero(~np.isfinite(used).all(axis=1))[0]])
+        raise ValueError(f"{name} must have finite vertices, got {surface.vertices[bad]} at {bad}")
+
+
+def _name_of(surface: TriangleMesh | Grid) -> str:
+    assert surface.crs is not None
+    return surface.crs.to_string()[:40]
+
+
+def _as_count(name: str, value: Any, least: int = 1) -> int:  # noqa: ANN401
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} must be a whole number, got {value!r}")
+    if value < least:
+        raise ValueError(f"{name} must be {least} or more, got {value}")
+    return int(value)
+
+
+def _place(point: _Floats, local: Local) -> tuple[float, float, float]:
+    x, y, z = local.to_world(point[np.newaxis])[0].tolist()
+    return x, y, z
+
+
+def _shares(n_pieces: int) -> Iterator[range]:
+    """Yield consecutive pieces' numbers: the same shares on any number of threads."""
+    n_shares = min(_MOST_TASKS, n_pieces)
+    for first, end in pairwise([n_pieces * i // n_shares for i in range(n_shares + 1)]):
+        yield range(first, end)
+
+
+class _Progress:
+    """Counts steps, from any thread, and tells what share of them is done."""
+
+    def __init__(self, tell: Progress | None, n_steps: int) -> None:
+        self._tell, self._n_steps, self._n_done, self._lock = tell, n_steps, 0, Lock()
+
+    def step(self) -> None:
+        if self._tell is not None:
+            with self._lock:
+                self._n_done += 1
+                self._tell(self._n_done / self._n_steps)
