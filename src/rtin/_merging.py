@@ -103,7 +103,7 @@ def _stay_first(points: _Points, ends: _Numbers, angles: _Points) -> tuple[_Numb
     tied = _sides(points)
     one, other = tied[ends].T
     all_sides = one | other
-    mergeable = ((all_sides == one) | (all_sides == other)) & ~(_is_corner(one) & _is_corner(other))
+    mergeable = (all_sides == one) | (all_sides == other)
     ends = np.where((other > one)[:, np.newaxis], ends[:, ::-1], ends)
     return ends[mergeable], angles[mergeable]
 
@@ -113,10 +113,6 @@ def _sides(points: _Points) -> _Numbers:
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     at = np.hstack([points[:, :2] == low, points[:, :2] == high])  # west, south, east, north
     return np.asarray(at @ [1, 4, 2, 8], np.int64)
-
-
-def _is_corner(sides: _Numbers) -> NDArray[np.bool_]:
-    return np.asarray(((sides & 3) > 0) & ((sides & 12) > 0))
 
 
 def _merged(points: _Points, merges: _Numbers) -> _Points:
@@ -130,12 +126,11 @@ def _merged(points: _Points, merges: _Numbers) -> _Points:
 
 
 def _delaunay(points: _Points) -> _Triangles:
-    """Return Delaunay's triangles, counter-clockwise and with an area."""
+    """Return Delaunay's triangles that have an area; Qhull turns them counter-clockwise."""
     from scipy.spatial import Delaunay
 
     triangles = Delaunay(points[:, :2]).simplices.astype(np.int32)
     corners = points[triangles, :2]
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     areas = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-    triangles[areas < 0.0] = triangles[areas < 0.0, ::-1]
-    return np.asarray(triangles[areas != 0.0])
+    return np.asarray(triangles[areas > 0.0])
