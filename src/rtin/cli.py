@@ -416,6 +416,57 @@ def study_propagation(
         _report(summary, as_json)
 
 
+@study.command("accuracy")
+def study_accuracy(
+    dem: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DEM]",
+            help="Any raster that GDAL reads, or .npy; Jacksboro by default.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the pictures.")
+    ] = Path("study-accuracy"),
+    against: Annotated[
+        str,
+        typer.Option(metavar="NAMES", help="More simplifiers to compare with, apart by commas."),
+    ] = "",
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
+) -> None:
+    """Measure how near meshes are to their terrain: Tables 1 to 3, figures 5 and 6 of the paper."""
+    with _one_line_errors():
+        from rtin.studies import accuracy, accuracy_pictures
+
+        started = time.perf_counter()
+        with _values_are_usage():
+            names = accuracy.names_with(against)
+        accuracy_pictures.require_places(out)
+        grid = None if dem is None else _read_grid(dem, band, window, encoding)
+        measured = accuracy.measure(grid, names, stage=_progress)
+        with _progress(f"drawing {out}"):
+            written = accuracy_pictures.write_pictures(measured, out)
+            written.append(accuracy_pictures.write_figure_5(accuracy.close_up(grid), out))
+        summary: dict[str, Any] = {
+            "terrain": str(dem or "Jacksboro fault, Tennessee (matplotlib's sample data)"),
+            "relief": measured.relief,
+            "rows": [row.as_dict() for row in measured.rows],
+            "at_thresholds": {f"{t:g}": n for t, n in measured.at_thresholds.items()},
+            "seconds": round(time.perf_counter() - started, 3),
+            "written": [str(path) for path in written],
+            "notes": measured.notes,
+        }
+        if not as_json:
+            print(accuracy.as_text(measured), accuracy.times_as_text(measured), sep="\n\n")
+            print()
+            del summary["rows"], summary["at_thresholds"], summary["notes"]
+        _report(summary, as_json)
+
+
 # --- steps --------------------------------------------------------------------------------------
 
 
