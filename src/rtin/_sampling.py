@@ -115,11 +115,15 @@ def samples_of(
     before = [_Size(*row) for row in (ends - sizes).tolist()]
     total = _Size(*ends[-1].tolist())
     left = wanted - total.n_corners
-    if sampling == "vertices" or left <= 0.0 or total.area == 0.0:
+    if sampling == "vertices" or left <= 0.0 or total.length == 0.0:
         return SurfaceSamples(surface, sampling, seed, before, 0.0, 0.0)
-    per_length = float(np.sqrt(left / total.area))
+    # Triangles with hardly an area would want points on their edges without end.
+    per_length = left / total.length
+    if total.area * per_length > total.length:  # never dividing by a tiny area
+        per_length = float(np.sqrt(left / total.area))
     left = max(0.0, left - np.floor(total.length * per_length))
-    return SurfaceSamples(surface, sampling, seed, before, per_length, left / total.area)
+    per_area = left / total.area if left >= 1.0 else 0.0
+    return SurfaceSamples(surface, sampling, seed, before, per_length, per_area)
 
 
 def _size_of_piece(surface: Surface, number: int) -> _Size:
