@@ -122,7 +122,7 @@ def _bounds(surface: TriangleMesh | Grid) -> _Floats:
         return np.array([used.min(axis=0), used.max(axis=0)])
     rows, cols = surface.shape
     corners = [(0, 0), (cols - 1, 0), (0, rows - 1), (cols - 1, rows - 1)]
-    places = np.array([surface.transform * corner for corner in corners])
+    places = np.array([surface.transform @ corner for corner in corners])
     return np.array([places.min(axis=0), places.max(axis=0)])
 
 
@@ -186,8 +186,8 @@ def _of_grid(grid: Grid, local: Local) -> Surface:
 
     heights = grid.heights
     n_rows, n_cols = grid.shape[0] - 1, grid.shape[1] - 1
-    shift = Affine.scale(*local.scale) * Affine.translation(*(-local.origin))
-    frame = _frame(shift * grid.transform, n_rows, n_cols)
+    shift = Affine.scale(*local.scale) @ Affine.translation(*(-local.origin))
+    frame = _frame(shift @ grid.transform, n_rows, n_cols)
     per_piece = max(1, _TRIANGLES_PER_PIECE // (2 * n_cols))
 
     def piece(number: int) -> Piece:
