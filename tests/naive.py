@@ -697,12 +697,13 @@ def metro(mesh, n_samples, sampling):
     left = n_samples - len(used)
     if left <= 0:
         return at[used], np.empty((0, 3)), [0] * len(areas), areas
-    per_length = min((left / sum(areas)) ** 0.5, left / sum(lengths))
+    # A millionth of a point to spare, as totals that are whole numbers would be rounded.
+    per_length = min((left / sum(areas)) ** 0.5, (left * 9 // 10 + 1e-6) / sum(lengths))
     on_edges = [
         at[a] + i / (n + 1) * (at[b] - at[a])
         for (a, b), n in zip(edges, carried(lengths, per_length), strict=True)
         for i in range(1, n + 1)
     ]
     left -= int(sum(lengths) * per_length)
-    counts = carried(areas, left / sum(areas), TAKEN[sampling])
+    counts = carried(areas, (left + 1e-6) / sum(areas), TAKEN[sampling])
     return at[used], np.array(on_edges).reshape(-1, 3), counts, areas

@@ -127,8 +127,10 @@ def test_a_grid_is_its_finest_triangles(name):
     np.testing.assert_allclose(distances(points, grid), other.forward.field[1], 1e-12, atol)
     plane = TriangleMesh(points[:3], [[0, 1, 2]])
     for sampling in ("subdivision", "vertices"):
-        of_grid, of_mesh = (rtin.compare(s, plane, sampling).forward for s in (grid, mesh))
-        assert of_grid.n_samples == pytest.approx(of_mesh.n_samples, abs=3, rel=0.02)
+        of_grid, of_mesh = (
+            rtin.compare(s, plane, sampling, samples=30_000).forward for s in (grid, mesh)
+        )
+        assert of_grid.n_samples == pytest.approx(of_mesh.n_samples, rel=0.04)
         assert of_grid.field.areas.sum() == pytest.approx(of_mesh.field.areas.sum(), rel=1e-6)
         if sampling == "vertices":
             np.testing.assert_allclose(
@@ -425,47 +427,39 @@ def test_an_unknown_crs_is_taken_to_be_the_other_ones():
 
 
 def of_meshlab(source, target, n_samples):
-    """Max, mean and rms of MeshLab's distance: faces by Monte Carlo, and no more."""
+    """What MeshLab finds in faces alone, by Monte Carlo, at vertices alone, and everywhere."""
     pymeshlab = pytest.importorskip("pymeshlab")
     meshes = pymeshlab.MeshSet(verbose=False)
     for mesh in (source, target):
-        meshes.add_mesh(pymeshlab.Mesh(mesh.vertices - source.vertices[0], mesh.triangles))
-    found = meshes.get_hausdorff_distance(
-        sampledmesh=0,
-        targetmesh=1,
-        samplevert=False,
-        sampleedge=False,
-        sampleface=True,
-        samplenum=n_samples,
-        maxdist=pymeshlab.PercentageValue(100.0),
+        meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.triangles))
+
+    def measured(**of):
+        everywhere = pymeshlab.PercentageValue(100.0)
+        return meshes.get_hausdorff_distance(
+            sampledmesh=0, targetmesh=1, samplenum=n_samples, maxdist=everywhere, **of
+        )
+
+    return (
+        measured(samplevert=False, sampleedge=False, sampleface=True),
+        measured(samplevert=True, sampleedge=False, sampleface=False),
+        measured(samplevert=True, sampleedge=True, sampleface=True),
     )
-    of_vertices = meshes.get_hausdorff_distance(
-        sampledmesh=0,
-        targetmesh=1,
-        samplevert=True,
-        sampleedge=False,
-        sampleface=False,
-        samplenum=n_samples,
-        maxdist=pymeshlab.PercentageValue(100.0),
-    )
-    return max(found["max"], of_vertices["max"]), found["mean"], found["RMS"], of_vertices
 
 
 @pytest.mark.parametrize("way", ["forward", "backward"])
 def test_is_what_meshlab_finds(way):
-    grid = rtin.Grid(terrains.waves((129, 129)) + terrains.noise((129, 129)) / 20)
+    grid = rtin.Grid(terrains.waves((129, 129)), Affine.scale(20.0, -20.0))
     fine, coarse = full(grid), rtin.coarsen(grid, max_error=6.0)
     a, b = (coarse, fine) if way == "forward" else (fine, coarse)
     n_samples = 10 * fine.n_triangles
-    worst, mean, rms, of_vertices = of_meshlab(a, b, n_samples)
+    in_faces, at_vertices, anywhere = of_meshlab(a, b, n_samples)
     side = rtin.compare(a, b, "montecarlo", samples=n_samples).forward
-    assert side.max == pytest.approx(worst, rel=0.01)
-    assert side.area_mean == pytest.approx(mean, rel=0.01)
-    assert side.area_rms == pytest.approx(rms, rel=0.01)
-    at_vertices = rtin.compare(a, b, "vertices").forward
-    assert (at_vertices.mean, at_vertices.rms) == pytest.approx(
-        (of_vertices["mean"], of_vertices["RMS"]), rel=1e-4, abs=1e-5
-    )
+    assert side.max == pytest.approx(anywhere["max"], rel=0.01)
+    assert side.area_mean == pytest.approx(in_faces["mean"], rel=0.01)
+    assert side.area_rms == pytest.approx(in_faces["RMS"], rel=0.01)
+    ours = rtin.compare(a, b, "vertices").forward
+    theirs = [at_vertices[name] for name in ("max", "mean", "RMS")]
+    assert figures(ours)[:3] == pytest.approx(theirs, rel=1e-4, abs=1e-4)
 
 
 # --- bad input ----------------------------------------------------------------------------------
@@ -476,7 +470,11 @@ def test_is_what_meshlab_finds(way):
     [
         (np.zeros((3, 3)), TypeError, "must be a TriangleMesh or a Grid, got ndarray"),
         (None, TypeError, "must be a TriangleMesh or a Grid, got NoneType"),
-        (TriangleMesh(np.zeros((3, 3)), np.empty((0, 3), int)), ValueError, "got a mesh without"),
+        (
+            TriangleMesh(np.zeros((3, 3)), np.empty((0, 3), int)),
+            ValueError,
+            "must have triangles, got a mesh without",
+        ),
         (TriangleMesh([[0, 0, 0], [1, 0, np.nan], [0, 1, 0]], [[0, 1, 2]]), ValueError, "at 1$"),
         (TriangleMesh([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]]), ValueError, "at 2$"),
         (rtin.Grid([[1.0, np.nan], [np.nan, 1.0]]), ValueError, "without three neighbouring"),
@@ -484,7 +482,7 @@ def test_is_what_meshlab_finds(way):
 )
 def test_wants_surfaces(wrong, error, message):
     for name, pair in (("mesh_a", (wrong, plane())), ("mesh_b", (plane(), wrong))):
-        with pytest.raises(error, match=f"^{name} must .*{message}"):
+        with pytest.raises(error, match=f"^{name} .*{message}"):
             rtin.compare(*pair)
 
 
@@ -508,6 +506,6 @@ def test_refuses_unlike_crs():
     ],
 )
 def test_wants_sensible_options(options, error, message):
-    with pytest.raises(error, match=f"^{message}$|{message}") as caught:
+    with pytest.raises(error, match=message) as caught:
         rtin.compare(plane(), plane(), **options)
     assert "\n" not in str(caught.value)
