@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _QUIET_SECONDS = 1.0
+_USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
 
 app = typer.Typer(
@@ -75,6 +76,25 @@ _Threshold = Annotated[
     typer.Option(
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
     ),
+]
+_Norm = Annotated[
+    Literal["max", "rms"],
+    typer.Option(help="What a budget makes small: the largest error, or the root mean square."),
+]
+_Weight = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SQUARE",
+        help="With --norm rms: least fall of the sum of squared errors for one more vertex.",
+    ),
+]
+_Diagonals = Annotated[
+    Literal["lattice", "best"],
+    typer.Option(help="best: squares may change their diagonals, which takes fewer vertices."),
+]
+_VertexHeights = Annotated[
+    Literal["sampled", "fitted"],
+    typer.Option(help="Leave vertices at the raster's heights, or fit them to all samples."),
 ]
 _MeshOut = Annotated[
     Path,
@@ -127,6 +147,10 @@ def coarsen(
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
+    norm: _Norm = "max",
+    weight: _Weight = None,
+    diagonals: _Diagonals = "lattice",
+    heights: _VertexHeights = "sampled",
     band: _Band = 1,
     window: _Window = None,
     encoding: _Encoding = None,
@@ -147,7 +171,11 @@ def coarsen(
         max_vertices=max_vertices,
         max_triangles=max_triangles,
         threshold=threshold,
+        weight=weight,
     )
+    _require_criterion_of(asked, norm)
+    chosen = {"norm": norm, "diagonals": diagonals, "heights": heights}
+    asked |= {name: value for name, value in chosen.items() if value != _USUAL[name]}
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():
@@ -643,6 +671,17 @@ def _the_only_option(**options: float | str | Path | None) -> dict[str, Any]:
     if isinstance(value, int | float) and not value >= 0:
         raise typer.BadParameter(f"{_flag(name)} must be zero or more, got {value}")
     return given
+
+
+def _require_criterion_of(asked: dict[str, Any], norm: str) -> None:
+    """Refuse a criterion that does not go with the norm."""
+    (name,) = asked
+    if norm == "max" and name == "weight":
+        raise typer.BadParameter("--weight goes with --norm rms")
+    if norm == "rms" and name not in ("max_vertices", "max_triangles", "weight"):
+        raise typer.BadParameter(
+            f"--norm rms goes with --max-vertices, --max-triangles or --weight, got {_flag(name)}"
+        )
 
 
 def _flag(name: str) -> str:
