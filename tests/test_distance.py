@@ -113,12 +113,11 @@ def test_a_wall_between_blocks_belongs_to_both(row):
 
 def test_a_slope_over_many_blocks_belongs_to_all():
     small = plane(size=40.0, n=25)
-    slope = [[0.0, 0.0, 0.0], [40.0, 0.0, 200.0], [20.0, 40.0, 100.0]]
+    slope = [[0.0, 0.0, -125.0], [40.0, 0.0, 75.0], [20.0, 40.0, -25.0]]
     triangles = np.vstack([[[0, 1, 2]], small.triangles + 3])
     mesh = TriangleMesh(np.vstack([slope, small.vertices]), triangles)
-    points = np.array([[5.0, 5.0, 150.0], [2.0, 3.0, 120.0]])
-    expected = abs(points[:, 2] - 5.0 * points[:, 0]) / np.sqrt(26.0)
-    np.testing.assert_allclose(distances(points, mesh), expected, rtol=1e-12)
+    point = np.array([[39.0, 20.0, 15.0]])  # over the plain, beside the slope
+    np.testing.assert_allclose(distances(point, mesh), 55.0 / np.sqrt(26.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize("sine", [1e-4, 1e-7, 1e-9, 1e-11, 1e-13, 1e-15])
