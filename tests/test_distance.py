@@ -102,6 +102,24 @@ def test_finds_what_is_nearest_many_cells_away(kind):
     np.testing.assert_allclose(distances(points, surface), np.sqrt(squares), rtol=1e-11)
 
 
+@pytest.mark.parametrize("row", [8, 16, 64])
+def test_a_wall_between_blocks_belongs_to_both(row):
+    heights = np.zeros((97, 97))
+    heights[row] = 1000.0
+    points = np.array([[48.0, 4.0 - row, 500.0], [48.0, -4.0 - row, 500.0]])
+    expected = 3.5 * 1000.0 / np.hypot(1000.0, 1.0)
+    np.testing.assert_allclose(distances(points, rtin.Grid(heights)), expected, rtol=1e-12)
+
+
+def test_a_slope_over_many_blocks_belongs_to_all():
+    small = plane(size=40.0, n=25)
+    slope = [[0.0, 0.0, -125.0], [40.0, 0.0, 75.0], [20.0, 40.0, -25.0]]
+    triangles = np.vstack([[[0, 1, 2]], small.triangles + 3])
+    mesh = TriangleMesh(np.vstack([slope, small.vertices]), triangles)
+    point = np.array([[39.0, 20.0, 15.0]])  # over the plain, beside the slope
+    np.testing.assert_allclose(distances(point, mesh), 55.0 / np.sqrt(26.0), rtol=1e-12)
+
+
 @pytest.mark.parametrize("sine", [1e-4, 1e-7, 1e-9, 1e-11, 1e-13, 1e-15])
 def test_slivers_cost_no_digits(sine):
     rng = np.random.default_rng(2)
@@ -352,6 +370,11 @@ def test_the_first_of_equally_far_samples_is_the_place():
     heights[[40, 40, 290], [150, 20, 3]] = 5.0
     side = rtin.compare(rtin.Grid(heights), rtin.Grid(np.zeros((300, 200))), "vertices").forward
     assert side.place == (20.0, -40.0, 5.0)
+    points = np.zeros((3000, 3))  # of many pieces
+    points[:, 2] = -5.0
+    points[0, 2] = 5.0
+    side = rtin.compare(cloud(points), cloud(np.zeros((1, 3))), "vertices").forward
+    assert side.place == (0.0, 0.0, 5.0)
 
 
 def test_quantiles_are_within_a_thousandth_of_numpys():
