@@ -419,7 +419,7 @@ def _bounds(way: _Way, lower: float, place: _Floats, gap: float, done: _Progress
 def _bounds_of_pieces(
     source: Surface, target: Surface, numbers: range, lower: float, gap: float, done: _Progress
 ) -> tuple[float, float, _Floats]:
-    from rtin._kernels.distance import bound_largest
+    from rtin._kernels.hausdorff import bound_largest
 
     upper, place = lower, np.full(3, np.nan)
     for number in numbers:
@@ -427,7 +427,7 @@ def _bounds_of_pieces(
         corners, triangles = np.unique(piece.triangles, return_inverse=True)
         vertices = piece.vertices[corners]
         known = target.nearest(vertices)
-        part_lower, part_upper, part_place = bound_largest(
+        part_lower, part_upper, part_place, _ = bound_largest(
             vertices, triangles.reshape(-1, 3), *known, *target.search, lower, gap
         )
         upper = max(upper, part_upper)
