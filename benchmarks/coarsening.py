@@ -216,10 +216,38 @@ def other_calls(name: str, grid: rtin.Grid, repeats: int) -> Iterator[Row]:
     )
 
 
+def best_diagonals(name: str, grid: rtin.Grid, repeats: int) -> Iterator[Row]:
+    """Yield what both diagonals of squares spare, beside the lattice's."""
+    for share in SHARES:
+        row, tolerance = described(name, grid, share)
+        best, lattice = (
+            partial(rtin.coarsen, grid, max_error=tolerance, diagonals=diagonals)
+            for diagonals in ("best", "lattice")
+        )
+        times = duel(best, lattice, repeats)
+        counts = [make().n_vertices for make in (lattice, best)]
+        errors = [rtin.vertical_error(make(), grid) for make in (lattice, best)]
+        assert errors[1].max <= tolerance
+        same_count = rtin.coarsen(grid, max_vertices=counts[0], diagonals="best")
+        yield row | {
+            "vertices": counts[0],
+            "best": counts[1],
+            "fewer": f"{1 - counts[1] / counts[0]:.1%}",
+            "rms": errors[0].rms,
+            "best's": errors[1].rms,
+            "max, as many": rtin.vertical_error(same_count, grid).max / errors[0].max,
+            "ms": milliseconds(np.median(times.theirs)),
+            "best ms": milliseconds(np.median(times.ours)),
+            "/": 1 / times.ratio,
+            "of cpu": 1 / times.ratio_of_work,
+        }
+
+
 TABLES = {
     "threshold": ("coarsen(threshold=ε) beside pymartini: tile and mesh", threshold_beside_martini),
     "max_error": ("coarsen(max_error=ε) beside pydelatin and pymartini", max_error_beside_peers),
     "vertices": ("vertices at the peers' true largest error", vertices_at_equal_error),
+    "diagonals": ("coarsen(max_error=ε) on the lattice's diagonals and the best", best_diagonals),
     "other": ("other calls", other_calls),
 }
 

@@ -254,6 +254,76 @@ def family(heights, keep=()):
     return meshes
 
 
+# --- either diagonal ----------------------------------------------------------------------------
+
+
+def turned(vertex, size):
+    """The two triangles on the other diagonal of the square around a vertex; none on the border."""
+    if len(bisections(size)[vertex]) == 1:
+        return []
+    (p, a, b), (q, _, _) = bisections(size)[vertex]
+    return [(a, p, q), (b, p, q)]
+
+
+def fits_turned(vertex, size, exact, tolerance):
+    """Whether a square has no void, and all samples within the tolerance on its other diagonal."""
+    other = turned(vertex, size)
+    return bool(other) and all(is_good(t, exact, tolerance) for t in other)
+
+
+def least_on_either_diagonal(heights, tolerance, keep=()):
+    """Vertices and triangles of the least mesh whose squares may take their other diagonals.
+
+    While a triangle is not good, keep what makes its square whole, or split it where the other
+    diagonal is no good either.
+    """
+    size = lattice_size(heights.shape)
+    exact = exact_heights(heights)
+    wanted = kept = set(keep)
+    while True:
+        kept, triangles = retriangulate(kept | wanted, size)
+        bad = {midpoint(t) for t in triangles if not is_good(t, exact, tolerance)}
+        swapped = {v for v in bad if fits_turned(v, size, exact, tolerance)}
+        wanted = (bad - swapped).union(*(parents(v, size) for v in swapped))
+        if wanted <= kept:
+            return kept, on_closer_diagonals(triangles, exact, tolerance, size)
+
+
+def on_closer_diagonals(triangles, exact, tolerance, size):
+    """The triangles, those of each square on the better one of its diagonals that are good."""
+    squares = {}
+    for triangle in triangles:
+        squares.setdefault(triangle if is_unit(triangle) else midpoint(triangle), []).append(
+            triangle
+        )
+    result = []
+    for vertex, own in squares.items():
+        choices = [own] if all(is_good(t, exact, tolerance) for t in own) else []
+        if len(own) == 2 and fits_turned(vertex, size, exact, tolerance):
+            choices.append(turned(vertex, size))
+        result += min(choices, key=lambda pair: squared_error(pair, exact))
+    return result
+
+
+def squared_error(triangles, exact):
+    """Sum of the squared errors at the samples of some triangles; 0 where one is void."""
+    if any(place not in exact for triangle in triangles for place in weights(triangle)):
+        return 0
+    errors = {place: e for t in triangles for place, e in errors_in(t, exact).items()}
+    return sum(e**2 for e in errors.values())
+
+
+def family_on_either_diagonal(heights, keep=()):
+    """(tolerance, triangles) of every such mesh, the coarsest first: all tolerances are tried."""
+    exact, size = exact_heights(heights), lattice_size(heights.shape)
+    others = [t for vertex in bisections(size) for t in turned(vertex, size)]
+    errors = {worst_error(t, exact) for t in all_triangles(size) + others}
+    return [
+        (tolerance, visible(heights, least_on_either_diagonal(heights, tolerance, keep)[1]))
+        for tolerance in sorted({*errors, 0, float("inf")}, reverse=True)
+    ]
+
+
 # --- a mesh against its raster ------------------------------------------------------------------
 
 
@@ -290,6 +360,62 @@ def surface_minus_samples(mesh, grid):
         surface = of_a * az + of_b * bz + of_c * cz
         field[inside] = surface[inside] - grid.heights[inside]
     return field
+
+
+# --- fitted heights -----------------------------------------------------------------------------
+
+
+def weights_at_samples(mesh, grid):
+    """Places of the samples that a mesh covers, and the matrix that makes its heights there of z.
+
+    Each has a row with the barycentric weights in one triangle around it, on the lattice.
+    """
+    vertices = grid.places(mesh.vertices[:, :2])
+    rows, cols = np.indices(grid.shape)
+    found = {}
+    for triangle in mesh.triangles:
+        (a_row, a_col), (b_row, b_col), (c_row, c_col) = vertices[triangle]
+        area = (a_row - c_row) * (b_col - c_col) - (b_row - c_row) * (a_col - c_col)
+        if area == 0.0:
+            continue
+        of_a = ((rows - c_row) * (b_col - c_col) - (b_row - c_row) * (cols - c_col)) / area
+        of_b = ((a_row - c_row) * (cols - c_col) - (rows - c_row) * (a_col - c_col)) / area
+        weights = np.stack([of_a, of_b, 1.0 - of_a - of_b])
+        for row, col in np.argwhere((weights > -1e-9).all(axis=0) & ~np.isnan(grid.heights)):
+            found[row, col] = np.zeros(len(vertices))
+            found[row, col][triangle] = weights[:, row, col]
+    return list(found), np.array(list(found.values()))
+
+
+def least_squares_heights(mesh, grid):
+    """Heights of least squares; vertices that samples hardly see stay at theirs."""
+    places, weights = weights_at_samples(mesh, grid)
+    z = mesh.vertices[:, 2].copy()
+    heights = np.array([grid.heights[place] for place in places], np.float64)
+    free = (weights**2).sum(axis=0) >= 0.25
+    z[free] += np.linalg.lstsq(weights[:, free], heights - weights @ z, rcond=None)[0]
+    return z
+
+
+def least_squares_within(mesh, grid, allowed):
+    """The same under the condition that no sample is farther off than allowed, an array.
+
+    Lawson and Hanson's least distance programming, "Solving least squares problems", chapter 23:
+    the nearest point to the unconstrained solution, in the norm that the sum of squares gives.
+    """
+    from scipy.optimize import nnls
+
+    places, weights = weights_at_samples(mesh, grid)
+    z = least_squares_heights(mesh, grid)
+    errors = weights @ z - [float(grid.heights[place]) for place in places]
+    limits = np.array([allowed[place] for place in places])
+    triangular = np.linalg.cholesky(weights.T @ weights)
+    slopes = np.linalg.solve(triangular, weights.T)
+    at_least = np.concatenate([errors - limits, -errors - limits])
+    matrix = np.vstack([np.hstack([-slopes, slopes]), at_least])
+    wanted = np.eye(len(matrix))[-1]
+    left = matrix @ nnls(matrix, wanted, maxiter=20_000)[0] - wanted
+    return z + np.linalg.solve(triangular.T, -left[:-1] / left[-1])
 
 
 # --- all meshes of a small lattice --------------------------------------------------------------

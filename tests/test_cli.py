@@ -55,6 +55,14 @@ def test_coarsen_takes_the_threshold_of_the_paper(dem, tmp_path):
     assert summary["vertices"] == expected.n_vertices
 
 
+def test_coarsen_lets_squares_change_their_diagonals(dem, tmp_path):
+    options = ("--max-error", 30, "--diagonals", "best", "--json")
+    summary = json.loads(run("coarsen", dem, tmp_path / "out.glb", *options).stdout)
+    expected = rtin.coarsen(rtin.read_grid(dem), max_error=30, diagonals="best")
+    assert summary["asked"] == {"max_error": 30, "diagonals": "best"}
+    assert summary["vertices"] == expected.n_vertices
+
+
 def test_the_summary_without_json_is_for_people(dem, tmp_path):
     result = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 30)
     assert "16 641" in result.stdout
@@ -93,6 +101,7 @@ def test_scaling_degrees_is_said(tmp_path, monkeypatch):
         (["--max-error", "5", "--z-scale", "0"], "--z-scale must be more than zero"),
         (["--max-error", "5", "--base", "-1"], "--base must be more than zero"),
         (["--max-error", "5", "--band", "0"], "--band"),
+        (["--max-error", "5", "--diagonals", "longest"], "--diagonals"),
         (["--max-error", "5", "--window", "0", "5"], "--window"),
         (["--max-triangles", "1.5"], "--max-triangles"),
         (["--max-error", "5", "--fast"], "--fast"),

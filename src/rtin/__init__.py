@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rtin.conformity import Propagation, propagation
     from rtin.criteria import VerticalError, vertex_errors, vertical_error
     from rtin.distance import CertifiedDistance, SurfaceDistance, compare, hausdorff
+    from rtin.fitting import fit_heights
     from rtin.grid import Grid
     from rtin.io import (
         from_skfem,
@@ -40,6 +41,7 @@ _MODULE_OF = {
     "coarsen": "rtin.coarsening",
     "coarsen_levels": "rtin.coarsening",
     "compare": "rtin.distance",
+    "fit_heights": "rtin.fitting",
     "from_skfem": "rtin.io",
     "from_triangulation": "rtin.io",
     "hausdorff": "rtin.distance",
@@ -69,6 +71,7 @@ __all__ = [
     "coarsen",
     "coarsen_levels",
     "compare",
+    "fit_heights",
     "from_skfem",
     "from_triangulation",
     "hausdorff",

@@ -20,7 +20,7 @@ from rtin._crs import metres_per_unit
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 
-__all__ = ["Local", "Piece", "Surface", "local_system", "surface_of"]
+__all__ = ["Local", "Piece", "Surface", "local_system", "numbers_in", "surface_of"]
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.int64]
@@ -115,9 +115,16 @@ def surface_of(source: TriangleMesh | Grid, local: Local) -> Surface:
     return _of_grid(source, local) if isinstance(source, Grid) else _of_mesh(source, local)
 
 
+def numbers_in(mesh: TriangleMesh) -> _Numbers:
+    """Return the numbers of the vertices that have a triangle, ascending."""
+    is_used = np.zeros(mesh.n_vertices, np.bool_)
+    is_used[mesh.triangles] = True
+    return np.flatnonzero(is_used)
+
+
 def _bounds(surface: TriangleMesh | Grid) -> _Floats:
     if isinstance(surface, TriangleMesh):
-        used = surface.vertices[surface.triangles.ravel(), :2]
+        used = surface.vertices[numbers_in(surface), :2]
         return np.array([used.min(axis=0), used.max(axis=0)])
     rows, cols = surface.shape
     corners = [(0, 0), (cols - 1, 0), (0, rows - 1), (cols - 1, rows - 1)]
@@ -133,8 +140,7 @@ def _of_mesh(mesh: TriangleMesh, local: Local) -> Surface:
     n_pieces = max(
         -(-mesh.n_triangles // _TRIANGLES_PER_PIECE), min(_FEWEST_PIECES, mesh.n_triangles)
     )
-    corners = np.flatnonzero(np.bincount(mesh.triangles.ravel(), minlength=mesh.n_vertices))
-    edges = mesh.edges()
+    corners, edges = numbers_in(mesh), mesh.edges()
 
     def piece(number: int) -> Piece:
         def share(items: Any) -> Any:  # noqa: ANN401
@@ -142,14 +148,16 @@ def _of_mesh(mesh: TriangleMesh, local: Local) -> Surface:
 
         return Piece(vertices, share(corners), share(edges), share(mesh.triangles))
 
-    return Surface(mesh.n_triangles, n_pieces, piece, _search_of_mesh(vertices, mesh.triangles))
+    search = _search_of_mesh(vertices, mesh.triangles, vertices[corners, :2])
+    return Surface(mesh.n_triangles, n_pieces, piece, search)
 
 
-def _search_of_mesh(vertices: _Floats, triangles: NDArray[np.int32]) -> tuple[Any, ...]:
+def _search_of_mesh(
+    vertices: _Floats, triangles: NDArray[np.int32], used: _Floats
+) -> tuple[Any, ...]:
     from rtin._kernels.distance import count_members, fill_members
 
-    used = vertices[triangles.ravel()]
-    low, high = used[:, :2].min(axis=0), used[:, :2].max(axis=0)
+    low, high = used.min(axis=0), used.max(axis=0)
     width = _cell_width(high - low, len(triangles))
     n_cols, n_rows = (np.floor((high - low) / width).astype(np.int64) + 1).tolist()
     places = np.ascontiguousarray((vertices[:, 1::-1] - low[::-1]) / width)

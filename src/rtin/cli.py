@@ -76,6 +76,14 @@ _Threshold = Annotated[
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
     ),
 ]
+_Diagonals = Annotated[
+    Literal["lattice", "best"],
+    typer.Option(help="best: squares may change their diagonals, which takes fewer vertices."),
+]
+_VertexHeights = Annotated[
+    Literal["sampled", "fitted"],
+    typer.Option(help="Leave vertices at the raster's heights, or fit them to all samples."),
+]
 _MeshOut = Annotated[
     Path,
     typer.Argument(
@@ -127,6 +135,8 @@ def coarsen(
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
+    diagonals: _Diagonals = "lattice",
+    heights: _VertexHeights = "sampled",
     band: _Band = 1,
     window: _Window = None,
     encoding: _Encoding = None,
@@ -148,6 +158,8 @@ def coarsen(
         max_triangles=max_triangles,
         threshold=threshold,
     )
+    if heights != "sampled":
+        asked["heights"] = heights
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():
@@ -156,6 +168,7 @@ def coarsen(
         _require_writable(out, dem)
         started = time.perf_counter()
         grid = _read_grid(dem, band, window, encoding)
+        asked |= {"diagonals": diagonals} if diagonals != "lattice" else {}
         mesh, error = _coarsen_and_measure(grid, asked)
         with _progress(f"writing {out}"):
             write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)

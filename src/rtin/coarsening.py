@@ -18,19 +18,21 @@ its parents, the apexes of the triangles that share the edge it bisects.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._options import as_height, as_tolerance_map, the_only_option
+from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
 
 __all__ = ["coarsen", "coarsen_levels", "is_compiled"]
 
 _Kept = NDArray[np.uint8]
+_Swapped = NDArray[np.uint8] | None
 _Items = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 _Shares = list[NDArray[np.int64]]  # work for each band of rows
@@ -51,6 +53,8 @@ def coarsen(
     threshold: float | None = None,
     removable: ArrayLike | None = None,
     keep: ArrayLike | None = None,
+    diagonals: Literal["lattice", "best"] = "lattice",
+    heights: Literal["sampled", "fitted"] = "sampled",
 ) -> TriangleMesh:
     """Return a conforming right-triangulated mesh of a grid, with vertices at samples.
 
@@ -79,12 +83,33 @@ def coarsen(
     keep : array_like of bool, shape (rows, cols), optional
         Vertices to keep whatever the criterion says: peaks, ridges, coastlines. Samples without a
         height, and those of which no finest triangle is whole, can't be kept.
+    diagonals : {"lattice", "best"}, optional
+        Where two triangles share their hypotenuse they make a square, upright or rotated by 45
+        degrees, and may share its other diagonal instead. "lattice" never does that. "best" does it
+        for each square by itself, in the wider family of meshes that this makes:
+
+        - ``max_error``: the promise is the same, and no mesh of the wider family that keeps it has
+          fewer vertices; they are among those of the "lattice" mesh.
+        - ``max_vertices``, ``max_triangles``: the mesh of the smallest such ``max_error``.
+        - ``threshold``, ``removable``: the vertices of the "lattice" mesh.
+
+        Of the diagonals within the tolerance (both, where there is none) each square then has the
+        one with the smaller sum of squared errors at its samples, the lattice's where they are
+        equal. *Not promised*: a smaller largest error than with "lattice" where no ``max_error`` is
+        given, and the least squared error over all meshes of as many vertices.
+    heights : {"sampled", "fitted"}
+        Where the vertices chosen lie. Sampled: at the raster's heights, unchanged. Fitted: moved
+        up or down for the smallest sum of squared errors over all samples, as ``fit_heights``
+        does. ``max_error`` is kept all the same; where none is promised, which includes budgets,
+        the largest error may rise.
 
     Returns
     -------
     TriangleMesh
-        Vertices in row-major order of their samples, with the raster's heights unchanged;
-        triangles counter-clockwise from above, their hypotenuse on the lattice first. The same
+        Vertices in row-major order of their samples, with the raster's heights unchanged unless
+        they are fitted; triangles counter-clockwise from above, their hypotenuse on the lattice
+        first, in row-major order of their apexes; those of a square on its other diagonal stand
+        where the two others would, each turned by a quarter about the square's middle. The same
         bytes on any number of threads.
 
     Raises
@@ -92,9 +117,10 @@ def coarsen(
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; a tolerance is negative, or NaN where
-        there is a height; an array is not of the grid's shape; a budget is too small for the
-        grid's outline; or the grid has no finest triangle with three heights.
+        If none or several of the five options are given; ``diagonals`` or ``heights`` is another
+        word; a tolerance is negative, or NaN where there is a height; an array is not of the grid's
+        shape; a budget is too small for the grid's outline; or the grid has no finest triangle with
+        three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
@@ -106,16 +132,24 @@ def coarsen(
         threshold=threshold,
         removable=removable,
     )
+    if heights not in ("sampled", "fitted"):
+        raise ValueError(f"heights must be 'sampled' or 'fitted', got {heights!r}")
     required = None if keep is None else _as_mask(grid, "keep", keep)
+    swapped, tolerance = _no_swaps(grid, diagonals), _NO_LIMIT
     if name == "max_error":
-        kept = _least_mesh(grid, _as_tolerance(grid, value), required)
+        tolerance = _as_tolerance(grid, value)
+        kept = _least_mesh(grid, tolerance, required, swapped)
     elif name == "threshold":
         kept = _above_threshold(grid, as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     else:
-        kept = _within_budget(grid, name, _as_count(name, value), required)
-    return _mesh_of(grid, kept)
+        kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
+    _choose_diagonals(grid, kept, swapped, tolerance)
+    mesh = _mesh_of(grid, kept, swapped)
+    if heights == "sampled":
+        return mesh
+    return _fitted(mesh, grid, tolerance if name == "max_error" else _NO_LIMIT)
 
 
 def coarsen_levels(
@@ -167,10 +201,12 @@ def is_compiled() -> bool:
 # --- the families -------------------------------------------------------------------------------
 
 
-def _least_mesh(grid: Grid, tolerance: _Tolerance, required: _Mask | None) -> _Kept:
+def _least_mesh(
+    grid: Grid, tolerance: _Tolerance, required: _Mask | None, swapped: _Swapped = None
+) -> _Kept:
     kept = _coarsest(grid)
     for shares in _starts(grid, required):
-        _settle(grid, kept, shares, tolerance)
+        _settle(grid, kept, shares, tolerance, swapped=swapped)
     return kept
 
 
@@ -192,7 +228,10 @@ def _unmarked(grid: Grid, removable: _Mask, required: _Mask | None) -> _Kept:
     return kept
 
 
-def _within_budget(grid: Grid, name: str, budget: int, required: _Mask | None) -> _Kept:
+def _within_budget(
+    grid: Grid, name: str, budget: int, required: _Mask | None, swapped: _Swapped
+) -> tuple[_Kept, _Tolerance]:
+    """Return the closed set of a budget's mesh, and the tolerance of which it is the least one."""
     from rtin._kernels.coarsening import split_worst_first
     from rtin._kernels.lattice import VERTEX, pack
 
@@ -211,17 +250,22 @@ def _within_budget(grid: Grid, name: str, budget: int, required: _Mask | None) -
         max_triangles = budget
     rows, cols = np.nonzero(kept[: grid.shape[0], : grid.shape[1]])
     items = pack(rows, cols, VERTEX)
-    split_worst_first(
-        grid.heights, kept, items, n_vertices, n_triangles, max_vertices, max_triangles
+    reached = split_worst_first(
+        grid.heights, kept, swapped, items, n_vertices, n_triangles, max_vertices, max_triangles
     )
-    return kept
+    return kept, (reached, None)
 
 
 # --- the two rules ------------------------------------------------------------------------------
 
 
 def _settle(
-    grid: Grid, kept: _Kept, shares: _Shares, tolerance: _Tolerance, remembers: bool = False
+    grid: Grid,
+    kept: _Kept,
+    shares: _Shares,
+    tolerance: _Tolerance,
+    remembers: bool = False,
+    swapped: _Swapped = None,
 ) -> _Shares:
     """Keep what the work in ``shares`` and both rules of the least mesh demand.
 
@@ -233,7 +277,7 @@ def _settle(
 
     n_rows = len(kept)
     bands = _parallel.row_bands(n_rows)
-    common = (grid.heights, _is_complete(grid), *tolerance, kept)
+    common = (grid.heights, _is_complete(grid), *tolerance, kept, swapped)
     found = [[share[:0]] for share in shares]
     if sum(share.size for share in shares) < len(bands):
         # Too little to share out: the largest triangles first, whose splits are everybody's work.
@@ -263,10 +307,38 @@ def _keep_marked(grid: Grid, kept: _Kept, mask: _Mask | None) -> None:
         )
 
 
+# --- diagonals ----------------------------------------------------------------------------------
+
+
+def _no_swaps(grid: Grid, diagonals: str) -> _Swapped:
+    """Return a byte for each sample, where squares may change their diagonals; else None."""
+    if diagonals not in ("lattice", "best"):
+        raise ValueError(f"diagonals must be 'lattice' or 'best', got {diagonals!r}")
+    return None if diagonals == "lattice" else _lattice_bytes(grid)
+
+
+def _choose_diagonals(grid: Grid, kept: _Kept, swapped: _Swapped, tolerance: _Tolerance) -> None:
+    """Swap the squares that fit on both diagonals and have less squared error on the other one."""
+    from rtin._kernels.diagonals import choose_diagonals
+
+    if swapped is not None:
+        shared = (grid.heights, *tolerance, kept, _words(kept), swapped)
+        bands = _parallel.row_bands(grid.shape[0])
+        _parallel.run(choose_diagonals, [(*shared, *band) for band in bands])
+
+
+# --- heights -------------------------------------------------------------------------------------
+
+
+def _fitted(mesh: TriangleMesh, grid: Grid, tolerance: _Tolerance) -> TriangleMesh:
+    number, of_samples = tolerance
+    return fitted(mesh, grid, np.array([[number]]) if of_samples is None else of_samples)
+
+
 # --- the mesh of a closed set -------------------------------------------------------------------
 
 
-def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
+def _mesh_of(grid: Grid, kept: _Kept, swapped: _Swapped = None) -> TriangleMesh:
     from rtin._kernels.coarsening import fill_triangles, fill_vertices
 
     in_mesh = _mark_used(grid, kept)
@@ -293,7 +365,7 @@ def _mesh_of(grid: Grid, kept: _Kept) -> TriangleMesh:
     outputs: tuple[Any, ...] = (first_vertex, first_in_word, vertices)
     _parallel.run(fill_vertices, [(*shared, transform, *band, *outputs) for band in bands])
     outputs = (first_triangle, first_in_word, flip, triangles)
-    _parallel.run(fill_triangles, [(*shared, *band, *outputs) for band in bands])
+    _parallel.run(fill_triangles, [(*shared, swapped, *band, *outputs) for band in bands])
     return TriangleMesh(vertices, triangles, grid.crs)
 
 
@@ -336,16 +408,22 @@ def _is_complete(grid: Grid) -> bool:
 def _coarsest(grid: Grid) -> _Kept:
     """Return the closed set of the two root triangles: the lattice's corners."""
     size = lattice_size(grid.shape)
+    kept = _lattice_bytes(grid)
+    kept[::size, : size + 1 : size] = 1
+    return kept
+
+
+def _lattice_bytes(grid: Grid) -> _Kept:
+    """Return a zero for each sample of the lattice."""
+    size = lattice_size(grid.shape)
     try:
         # Rows are padded so that they can be read by eights as well.
-        kept = np.zeros((size + 1, 8 * (size // 8 + 2)), np.uint8)
+        return np.zeros((size + 1, 8 * (size // 8 + 2)), np.uint8)
     except (MemoryError, ValueError):
         raise MemoryError(
             f"a grid of {grid.shape[0]} × {grid.shape[1]} samples needs a lattice of "
             f"{(size + 1) ** 2 / 2**30:.1f} GiB, which can't be had; coarsen windows of it instead"
         ) from None
-    kept[::size, : size + 1 : size] = 1
-    return kept
 
 
 def _words(kept: _Kept) -> NDArray[np.uint64]:

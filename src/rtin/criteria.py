@@ -147,16 +147,50 @@ class _Band:
 
 
 def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
+    places, z = grid.places(mesh.vertices[:, :2]), np.ascontiguousarray(mesh.vertices[:, 2])
+    return [
+        (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members),)
+        for first, end, members in members_by_band(places, mesh.triangles, grid.shape[0])
+    ]
+
+
+def members_by_band(
+    places: NDArray[np.float64], triangles: NDArray[np.int32], n_rows: int
+) -> list[tuple[int, int, NDArray[np.int32]]]:
+    """Return bands of rows: the first, the one after the last, and the triangles that reach in."""
     from rtin._kernels.criteria import triangles_by_band
 
-    places, z = grid.places(mesh.vertices[:, :2]), np.ascontiguousarray(mesh.vertices[:, 2])
-    rows = _parallel.row_bands(grid.shape[0])
+    rows = _parallel.row_bands(n_rows)
     band_of_row = np.repeat(np.arange(len(rows)), [end - first for first, end in rows])
-    members, starts = triangles_by_band(places, mesh.triangles, band_of_row, len(rows))
+    members, starts = triangles_by_band(places, triangles, band_of_row, len(rows))
     return [
-        (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members[start:stop]),)
-        for (first, end), start, stop in zip(rows, starts, starts[1:], strict=False)
+        (*band, members[start:stop])
+        for band, start, stop in zip(rows, starts, starts[1:], strict=False)
     ]
+
+
+def triangles_off(
+    places: NDArray[np.float64],
+    z: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    grid: Grid,
+    allowed: NDArray[np.float64],
+    wanted: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Return which of the wanted triangles have a sample that is farther from them than allowed.
+
+    ``places`` holds row and column of each vertex; ``allowed`` is of the raster's shape, or has
+    one row and column for all samples.
+    """
+    from rtin._kernels.criteria import find_off
+
+    off = wanted.copy()
+    tasks = [
+        (places, z, triangles, *band, grid.heights, allowed, off)
+        for band in _parallel.row_bands(len(triangles))
+    ]
+    _parallel.run(find_off, tasks)
+    return off
 
 
 def _surface_of_band(band: _Band) -> NDArray[np.float64]:

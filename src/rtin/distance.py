@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rtin import _parallel
 from rtin._number import as_number
 from rtin._sampling import SAMPLINGS, Sampling, SurfaceSamples, samples_of
-from rtin._surfaces import Local, Surface, local_system, surface_of
+from rtin._surfaces import Local, Surface, local_system, numbers_in, surface_of
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 
@@ -467,9 +467,10 @@ def _require_surface(name: str, surface: TriangleMesh | Grid) -> None:
         raise TypeError(f"{name} must be a TriangleMesh or a Grid, got {type(surface).__name__}")
     if surface.n_triangles == 0:
         raise ValueError(f"{name} must have triangles, got a mesh without any")
-    used = surface.vertices[surface.triangles.ravel()]
-    if not np.isfinite(used).all():
-        bad = int(surface.triangles.ravel()[np.flatnonzero(~np.isfinite(used).all(axis=1))[0]])
+    numbers = numbers_in(surface)
+    is_bad = ~np.isfinite(surface.vertices[numbers]).all(axis=1)
+    if is_bad.any():
+        bad = int(numbers[is_bad][0])
         raise ValueError(f"{name} must have finite vertices, got {surface.vertices[bad]} at {bad}")
 
 

@@ -22,6 +22,7 @@ from rtin import _parallel
 from rtin._adjacency import require_numbers, twins_of
 from rtin._distinct import distinct
 from rtin._options import as_height, as_tolerance_map, the_only_option
+from rtin.criteria import triangles_off
 from rtin.grid import Grid, require_grid
 from rtin.mesh import TriangleMesh, require_mesh
 
@@ -433,14 +434,6 @@ def _off_by_more(
     mesh: TriangleMesh, grid: Grid, max_error: NDArray[np.float64], wanted: _Mask
 ) -> _Mask:
     """Return which of the wanted triangles have a sample under them that is farther than ε."""
-    from rtin._kernels.criteria import find_off
-
     places = grid.places(mesh.vertices[:, :2])
     z = np.ascontiguousarray(mesh.vertices[:, 2])
-    off = wanted.copy()
-    tasks = [
-        (places, z, mesh.triangles, *band, grid.heights, max_error, off)
-        for band in _parallel.row_bands(mesh.n_triangles)
-    ]
-    _parallel.run(find_off, tasks)
-    return off
+    return triangles_off(places, z, mesh.triangles, grid, max_error, wanted)

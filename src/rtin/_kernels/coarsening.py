@@ -1,4 +1,4 @@
-"""Arithmetic of the coarsening: which samples fit, what a kept vertex entails, the mesh of it.
+"""Arithmetic of the coarsening: what a triangle that does not fit entails, and the mesh of it.
 
 ``kept`` holds a byte for each sample of the lattice, not 0 where the vertex is kept. Two rules say
 which vertices the least mesh keeps, and no others:
@@ -7,6 +7,10 @@ which vertices the least mesh keeps, and no others:
     criterion   a kept apex whose triangle does not fit keeps the midpoint of its hypotenuse
 
 They only ever add, so any order, and any split of the rows among threads, ends in the same mesh.
+
+Where squares may be swapped, the criterion is weaker: where the other diagonal fits, it keeps both
+apexes of the midpoint only. ``swapped`` then holds a byte for each sample, not 0 where the square
+around it takes its other diagonal unless the vertex is kept in the end; else it is None.
 """
 
 import heapq
@@ -15,7 +19,14 @@ import numpy as np
 
 from rtin._kernels._jit import jit
 from rtin._kernels.criteria import row_errors
+from rtin._kernels.diagonals import (
+    is_on_other_diagonal,
+    is_swapped,
+    other_diagonal_error,
+    remedy,
+)
 from rtin._kernels.lattice import (
+    SQUARE,
     VERTEX,
     apexes,
     direction_of,
@@ -25,134 +36,17 @@ from rtin._kernels.lattice import (
     is_unit,
     midpoint,
     packed,
-    row_spans,
     spacing_of,
     unpacked,
 )
+from rtin._kernels.planes import (
+    midpoint_fails,
+    triangle_error,
+    triangle_fails,
+    triangle_fails_or_is_mixed,
+)
 
 KEPT, USED = 1, 3
-
-# --- which triangles fit ------------------------------------------------------------------------
-
-
-@jit
-def triangle_plane(heights, row, col, spacing, direction):
-    """Plane through the corners of a triangle: height at the apex, slope per row, slope per column.
-
-    The corners lie a power of two apart, so for float32 heights of one range nothing is rounded.
-    """
-    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
-    apex = np.float64(heights[row, col])
-    a = np.float64(heights[a_row, a_col])
-    b = np.float64(heights[b_row, b_col])
-    if not is_centre(row, col, spacing):
-        if a_col == col:
-            return apex, (a - apex) / (a_row - row), (b - apex) / (b_col - col)
-        return apex, (b - apex) / (b_row - row), (a - apex) / (a_col - col)
-    towards_apex = (a + b) / 2 - apex
-    if a_row == b_row:
-        return apex, towards_apex / (a_row - row), (a - b) / (a_col - b_col)
-    return apex, (a - b) / (a_row - b_row), towards_apex / (a_col - col)
-
-
-@jit
-def midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction):
-    """Whether the midpoint of the hypotenuse is out of tolerance; False where a void is involved.
-
-    Most triangles that must be split show it there, for a tenth of the cost of the whole test.
-    """
-    n_rows, n_cols = heights.shape
-    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
-    if max(a_row, b_row) >= n_rows or max(a_col, b_col) >= n_cols:
-        return False
-    mid_row, mid_col = midpoint(row, col, spacing, direction)
-    between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
-    allowed = max_error if tolerance is None else tolerance[mid_row, mid_col]
-    return abs(between - heights[mid_row, mid_col]) > allowed
-
-
-@jit
-def faults_in_row(heights, row, start, end, value, slope, max_error, tolerance):
-    """Number of samples of a row that are void or further from value + slope * i than allowed."""
-    samples = heights[row, start:end]
-    limits = None if tolerance is None else tolerance[row, start:end]
-    faults = 0
-    for i in range(samples.size):
-        allowed = max_error if limits is None else limits[i]
-        faults += not abs(samples[i] - (value + slope * i)) <= allowed
-    return faults
-
-
-@jit
-def valid_in_row(heights, row, start, end):
-    """Number of samples of a row that are not void."""
-    valid = 0
-    for height in heights[row, start:end]:
-        valid += height == height
-    return valid
-
-
-@jit
-def complete_triangle_fails(heights, max_error, tolerance, row, col, spacing, direction):
-    """Whether a triangle without voids has a sample out of tolerance."""
-    apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
-    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
-    for sample_row in range(first, last + 1):
-        distance = abs(sample_row - row)
-        start, end = left + left_step * distance, right + right_step * distance + 1
-        value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
-        if faults_in_row(heights, sample_row, start, end, value, col_slope, max_error, tolerance):
-            return True
-    return False
-
-
-@jit
-def triangle_fails_or_is_mixed(heights, max_error, tolerance, row, col, spacing, direction):
-    """Whether a triangle has a valid sample, and one that is void or out of tolerance.
-
-    Samples below or to the right of the raster are void.
-    """
-    n_rows, n_cols = heights.shape
-    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
-    apex, row_slope, col_slope = np.nan, np.nan, np.nan
-    if last < n_rows and max(right, right + right_step * spacing) < n_cols:
-        apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
-    valid, faults = 0, 0
-    for sample_row in range(first, last + 1):
-        distance = abs(sample_row - row)
-        start, end = left + left_step * distance, right + right_step * distance + 1
-        if sample_row >= n_rows or end > n_cols:
-            faults += 1
-            end = min(end, n_cols)
-        if valid == 0 and sample_row < n_rows:
-            valid = valid_in_row(heights, sample_row, start, end)
-        if faults == 0:
-            value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
-            faults = faults_in_row(
-                heights, sample_row, start, end, value, col_slope, max_error, tolerance
-            )
-        if valid > 0 and faults > 0:
-            return True
-    return False
-
-
-@jit
-def triangle_error(heights, row, col, spacing, direction):
-    """Largest distance of a sample of a triangle without voids from its plane."""
-    apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction)
-    first, last, left, left_step, right, right_step = row_spans(row, col, spacing, direction)
-    largest = 0.0
-    for sample_row in range(first, last + 1):
-        distance = abs(sample_row - row)
-        start, end = left + left_step * distance, right + right_step * distance + 1
-        value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
-        # Counting runs at vector speed, a running maximum does not: look only where it rises.
-        if faults_in_row(heights, sample_row, start, end, value, col_slope, largest, None):
-            for i in range(end - start):
-                largest = max(
-                    largest, abs(heights[sample_row, start + i] - (value + col_slope * i))
-                )
-    return largest
 
 
 # --- the least mesh -----------------------------------------------------------------------------
@@ -177,7 +71,7 @@ def is_open(kept, first_row, end_row, row, col):
 
 @jit
 def push_apexes(kept, first_row, end_row, row, col, stack, n_stack):
-    """Put both apexes of a newly kept vertex on the stack, where they are still to be kept."""
+    """Put both apexes of a vertex on the stack, where they are still to be kept."""
     p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
     if is_open(kept, first_row, end_row, p_row, p_col):
         stack[n_stack] = packed(p_row, p_col, VERTEX)
@@ -189,14 +83,33 @@ def push_apexes(kept, first_row, end_row, row, col, stack, n_stack):
 
 
 @jit
+def mark(kept, swapped, row, col, kind):
+    """Note that a vertex is kept, or that the square around it is swapped."""
+    if swapped is not None and kind == SQUARE:
+        swapped[row, col] = 1
+    else:
+        kept[row, col] = 1
+
+
+@jit
 def settle(
-    heights, is_complete, max_error, tolerance, kept, first_row, end_row, finest, remembers, work
+    heights,
+    is_complete,
+    max_error,
+    tolerance,
+    kept,
+    swapped,
+    first_row,
+    end_row,
+    finest,
+    remembers,
+    work,
 ):
     """Apply both rules to the rows first_row to end_row until nothing changes there.
 
-    ``work`` lists triangles to test and vertices to keep. Returns the vertices to keep that lie in
-    other rows; the triangles whose apex has a spacing below ``finest``, left untested; and, where
-    it ``remembers``, the triangles that fit.
+    ``work`` lists triangles to test, vertices to keep and squares to swap. Returns those of the
+    latter two that lie in other rows; the triangles whose apex has a spacing below ``finest``, left
+    untested; and, where it ``remembers``, the triangles that fit.
     """
     stack, n_stack = np.empty(work.size + 64, np.int64), work.size
     stack[:n_stack] = work
@@ -207,17 +120,19 @@ def settle(
         n_stack -= 1
         row, col, first = unpacked(stack[n_stack])
         end = first + 1
-        if first == VERTEX:
+        if first >= VERTEX:
             if not first_row <= row < end_row:
                 elsewhere = with_room(elsewhere, n_elsewhere + 1)
-                elsewhere[n_elsewhere] = packed(row, col, VERTEX)
+                elsewhere[n_elsewhere] = stack[n_stack]
                 n_elsewhere += 1
                 continue
             if kept[row, col] != 0:
                 continue
-            kept[row, col] = 1
+            mark(kept, swapped, row, col, first)
             stack = with_room(stack, n_stack + 6)
             n_stack = push_apexes(kept, first_row, end_row, row, col, stack, n_stack)
+            if first == SQUARE:
+                continue
             first, end = 0, 4
         spacing = spacing_of(row, col)
         if is_unit(row, col, spacing):
@@ -229,9 +144,12 @@ def settle(
                 n_untested += 1
             continue
         stack = with_room(stack, n_stack + 4)
+        along_axis = is_centre(row, col, spacing)
         for direction in range(first, end):
             mid_row, mid_col = midpoint(row, col, spacing, direction)
             if not is_open(kept, first_row, end_row, mid_row, mid_col):
+                continue
+            if is_swapped(swapped, first_row, end_row, mid_row, mid_col):
                 continue
             # One call that holds these three took 15 ns more for each triangle than its answer.
             fails = midpoint_fails(heights, max_error, tolerance, row, col, spacing, direction)
@@ -240,11 +158,12 @@ def settle(
                     heights, max_error, tolerance, row, col, spacing, direction
                 )
             elif not fails and spacing > 1:
-                fails = complete_triangle_fails(
-                    heights, max_error, tolerance, row, col, spacing, direction
+                fails = triangle_fails(
+                    heights, max_error, tolerance, row, col, spacing, direction, along_axis
                 )
             if fails:
-                stack[n_stack] = packed(mid_row, mid_col, VERTEX)
+                kind = remedy(heights, max_error, tolerance, swapped, mid_row, mid_col)
+                stack[n_stack] = packed(mid_row, mid_col, kind)
                 n_stack += 1
             elif remembers:
                 fitting = with_room(fitting, n_fitting + 1)
@@ -336,9 +255,8 @@ def keep_by_mask(mask, kept, first_row, end_row):
 
 
 @jit
-def keep_with_closure(kept, item, stack, added, n_added):
-    """Keep a vertex and all it needs; append each new one to ``added``."""
-    stack[0], n_stack = item, 1
+def keep_with_closure(kept, stack, n_stack, added, n_added):
+    """Keep the vertices on the stack and all they need; append each new one to ``added``."""
     while n_stack > 0:
         n_stack -= 1
         row, col, _ = unpacked(stack[n_stack])
@@ -379,20 +297,47 @@ def push_triangles(heap, heights, kept, row, col):
             continue
         if np.isnan(heights[a_row, a_col]):
             continue
-        error = triangle_error(heights, row, col, spacing, direction)
+        along_axis = is_centre(row, col, spacing)
+        error = triangle_error(heights, row, col, spacing, direction, along_axis)
         if error > 0.0:
             heapq.heappush(heap, (-error, packed(row, col, direction)))
 
 
 @jit
+def swap_instead(heights, swapped, heap, row, col, error):
+    """Swap the square around a vertex if its other diagonal has no more error; say whether it has.
+
+    The heap gets the vertex, to be kept when that error is too much as well.
+    """
+    if swapped is None:
+        return False
+    other_error = other_diagonal_error(heights, row, col, error)
+    if other_error == np.inf:
+        return False
+    swapped[row, col] = 1
+    if other_error > 0.0:
+        heapq.heappush(heap, (-other_error, packed(row, col, VERTEX)))
+    return True
+
+
+@jit
+def undo(marks, items):
+    """Take back the marks of some vertices."""
+    for item in items:
+        row, col, _ = unpacked(item)
+        marks[row, col] = 0
+
+
+@jit
 def split_worst_first(
-    heights, kept, apex_items, n_vertices, n_triangles, max_vertices, max_triangles
+    heights, kept, swapped, apex_items, n_vertices, n_triangles, max_vertices, max_triangles
 ):
-    """Split the worst triangle again and again while the budgets last.
+    """Split the worst triangle, or swap its square, again and again while the budgets last.
 
     ``apex_items`` lists the kept vertices, ``n_vertices`` and ``n_triangles`` count their mesh.
     The mesh is one of the least ones whenever the worst triangle left is better than all split
-    before; ``kept`` is left at the last such mesh within the budgets.
+    before; ``kept`` and ``swapped`` are left at the last such mesh within the budgets. Returns the
+    tolerance of which it is the least mesh.
     """
     n_rows, n_cols = heights.shape
     heap = [(0.0, np.int64(0))]
@@ -402,18 +347,27 @@ def split_worst_first(
         push_triangles(heap, heights, kept, row, col)
     stack = np.empty(256, np.int64)
     added, n_added, n_least = np.empty(1024, np.int64), 0, 0
+    turned, n_turned, n_least_turned = np.empty(64, np.int64), 0, 0
     reached = np.inf
     while len(heap) > 0:
         error, item = heapq.heappop(heap)
         row, col, direction = unpacked(item)
-        mid_row, mid_col = midpoint(row, col, spacing_of(row, col), direction)
-        if kept[mid_row, mid_col] != 0:
+        if direction != VERTEX:
+            row, col = midpoint(row, col, spacing_of(row, col), direction)
+            if is_swapped(swapped, 0, len(kept), row, col):
+                continue
+        if kept[row, col] != 0:
             continue
         if -error < reached:
-            reached, n_least = -error, n_added
+            reached, n_least, n_least_turned = -error, n_added, n_turned
         first_new = n_added
-        midpoint_item = packed(mid_row, mid_col, VERTEX)
-        added, n_added = keep_with_closure(kept, midpoint_item, stack, added, n_added)
+        stack[0], n_stack = packed(row, col, VERTEX), 1
+        if direction != VERTEX and swap_instead(heights, swapped, heap, row, col, -error):
+            turned = with_room(turned, n_turned + 1)
+            turned[n_turned] = stack[0]
+            n_turned += 1
+            n_stack = push_apexes(kept, 0, len(kept), row, col, stack, 0)
+        added, n_added = keep_with_closure(kept, stack, n_stack, added, n_added)
         for i in range(first_new, n_added):
             row, col, _ = unpacked(added[i])
             n_triangles += triangles_gained(row, col, n_rows, n_cols)
@@ -424,10 +378,11 @@ def split_worst_first(
             row, col, _ = unpacked(added[i])
             push_triangles(heap, heights, kept, row, col)
     else:
-        n_least = n_added
-    for i in range(n_least, n_added):
-        row, col, _ = unpacked(added[i])
-        kept[row, col] = 0
+        reached, n_least, n_least_turned = 0.0, n_added, n_turned
+    undo(kept, added[n_least:n_added])
+    if swapped is not None:
+        undo(swapped, turned[n_least_turned:n_turned])
+    return reached
 
 
 # --- the mesh of a closed set -------------------------------------------------------------------
@@ -553,9 +508,22 @@ def vertex_number(kept, in_mesh, in_word, row, col):
 
 @jit
 def fill_triangles(
-    heights, kept, words, in_mesh, first_row, end_row, first_triangle, in_word, flip, triangles
+    heights,
+    kept,
+    words,
+    in_mesh,
+    swapped,
+    first_row,
+    end_row,
+    first_triangle,
+    in_word,
+    flip,
+    triangles,
 ):
-    """Write the triangles whose apex lies in some rows: hypotenuse first, apex last."""
+    """Write the triangles whose apex lies in some rows: hypotenuse first, apex last.
+
+    In place of a triangle (a, b, apex) of a swapped square stands (apex, opposite apex, b).
+    """
     n_cols = heights.shape[1]
     for row in range(first_row, end_row):
         number = first_triangle[row]
@@ -574,7 +542,12 @@ def fill_triangles(
                         a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing, direction)
                         a = vertex_number(kept, in_mesh, in_word, a_row, a_col)
                         b = vertex_number(kept, in_mesh, in_word, b_row, b_col)
+                        c = apex
+                        if is_on_other_diagonal(kept, swapped, row, col, spacing, direction):
+                            opposite_row, opposite_col = a_row + b_row - row, a_col + b_col - col
+                            a, c = apex, b
+                            b = vertex_number(kept, in_mesh, in_word, opposite_row, opposite_col)
                         triangles[number, 0] = b if flip else a
                         triangles[number, 1] = a if flip else b
-                        triangles[number, 2] = apex
+                        triangles[number, 2] = c
                         number += 1

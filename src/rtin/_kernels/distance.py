@@ -16,7 +16,7 @@ away, or too far above or below.
 
 import numpy as np
 
-from rtin._kernels._jit import jit
+from rtin._kernels._jit import inlined, jit
 
 BLOCK = 8  # cells a side of the smallest blocks
 FEW = 16  # cells that are looked at without going through blocks
@@ -366,7 +366,7 @@ def nearest_through_blocks(point, surface, frame, blocks, at, waiting, bounds, b
     return best, found
 
 
-@jit
+@inlined
 def nearest_to_point(point, surface, frame, blocks, waiting, bounds):
     """Squared distance from a point to a surface, and the number of a nearest triangle.
 

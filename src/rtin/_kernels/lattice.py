@@ -18,16 +18,17 @@ and the apex alone tells its size::
 
 The corners (0, size) and (size, 0) of the lattice act as edge vertices of spacing ``size``: their
 one triangle inside the lattice is a root. ``packed`` stores a triangle as one integer: row and
-column of its apex, and its direction; direction 4 means the vertex itself.
+column of its apex, and its direction; direction 4 means the vertex itself, 5 the square of the two
+triangles whose hypotenuse it bisects.
 """
 
 from rtin._kernels._jit import jit
 
-VERTEX = 4
+VERTEX, SQUARE = 4, 5
 
 
 def pack(row, col, direction):
-    """One integer for a triangle, or for a vertex where the direction is ``VERTEX``; arrays too."""
+    """One integer for a triangle, or a vertex or square where the direction says so; arrays too."""
     return (row << 34) | (col << 3) | direction
 
 
@@ -109,7 +110,13 @@ def hypotenuse(row, col, spacing, direction):
     With the apex they go round the triangle in the same sense for all triangles: (a, b, apex) is
     counter-clockwise where rows run south and columns run east.
     """
-    if is_centre(row, col, spacing):
+    return hypotenuse_of(row, col, spacing, direction, is_centre(row, col, spacing))
+
+
+@jit
+def hypotenuse_of(row, col, spacing, direction, along_axis):
+    """The same for a triangle that need not be one of the hierarchy."""
+    if along_axis:
         row_step, col_step = axis_direction_of(direction)
         mid_row, mid_col = row + spacing * row_step, col + spacing * col_step
         return (
@@ -143,7 +150,13 @@ def row_spans(row, col, spacing, direction):
     On the row i rows from the apex they are the columns left + i * left step to
     right + i * right step, both included.
     """
-    if is_centre(row, col, spacing):
+    return row_spans_of(row, col, spacing, direction, is_centre(row, col, spacing))
+
+
+@jit
+def row_spans_of(row, col, spacing, direction, along_axis):
+    """The same for a triangle that need not be one of the hierarchy."""
+    if along_axis:
         row_step, col_step = axis_direction_of(direction)
         if row_step != 0:
             first = min(row, row + spacing * row_step)
