@@ -45,8 +45,9 @@ Progress: TypeAlias = Callable[[float], None]
 _Floats = NDArray[np.float64]
 
 _SAMPLES_PER_TRIANGLE = 10  # Metro's
-_SMALLEST_TOLERANCE = 1e-12  # of the surfaces' extent
+_SMALLEST_TOLERANCE = 1e-12  # of the largest coordinate: less is rounding
 _DEFAULT_TOLERANCE = 1e-3  # of the distance
+_LEAST_BY_DEFAULT = 1e-9  # of the largest coordinate
 _MOST_TASKS = 16
 
 
@@ -266,18 +267,23 @@ def hausdorff(
 ) -> CertifiedDistance:
     """Return bounds of the Hausdorff distance between two surfaces that hold.
 
-    By branch and bound. The distance to one fixed triangle is convex, so that no point of a
-    triangle is farther from it than the farthest corner; for each triangle of one surface, the
-    triangles of the other nearest to its corners are tried. Where that leaves the maximum open,
-    the triangle is bisected at its longest edge.
+    By branch and bound. The distance to one triangle is convex, so that no point of a convex
+    polygon is farther from it than the farthest corner. A triangle of one surface is divided into
+    polygons, each with a triangle of the other surface for itself: at the edges of those below and
+    above it where these are few (the overlay of both), at places that are equally far from two, or
+    not at all. Where the farthest corner leaves the maximum open, the triangle is bisected at its
+    longest edge. Any division gives a bound, so that overlaps, upright triangles, gaps and voids
+    cost time at most; so does a maximum along a whole curve that is equally far from triangles on
+    both sides, where parts get as small as the root of the tolerance.
 
     Parameters
     ----------
     mesh_a, mesh_b : TriangleMesh or Grid
         As for ``compare``.
     tolerance : float, optional
-        How far the bounds may be apart, in the unit of the heights; by default a thousandth of the
-        largest distance found at a vertex. Never less than 1e-12 of the surfaces' extent.
+        How far the bounds may be apart, in the unit of the heights. By default a thousandth of the
+        largest distance of a sample, or 1e-9 of the largest local coordinate if that is more. What
+        is less than 1e-12 of that coordinate, and so near to rounding, counts as that much.
     progress : callable, optional
         Gets the share that is done, from 0 to 1, now and then.
 
@@ -303,10 +309,13 @@ def hausdorff(
         for source, target in [(a, b), (b, a)]
     ]
     reached = [_farthest_sample(way, done) for way in ways]
-    gap = _DEFAULT_TOLERANCE * max(lower for lower, _ in reached) if wanted is None else wanted
-    gap = max(gap, _SMALLEST_TOLERANCE * local.extent)
+    size = max(local.extent, a.highest, b.highest)
+    if wanted is None:
+        found = max(lower for lower, _ in reached)
+        wanted = max(_DEFAULT_TOLERANCE * found, _LEAST_BY_DEFAULT * size)
+    gap = max(wanted, _SMALLEST_TOLERANCE * size)
     return CertifiedDistance(
-        *(_bounds(way, *found, gap, done) for way, found in zip(ways, reached, strict=True))
+        *(_bounds(way, *start, gap, done) for way, start in zip(ways, reached, strict=True))
     )
 
 
@@ -427,7 +436,7 @@ def _bounds_of_pieces(
         corners, triangles = np.unique(piece.triangles, return_inverse=True)
         vertices = piece.vertices[corners]
         known = target.nearest(vertices)
-        part_lower, part_upper, part_place, _ = bound_largest(
+        part_lower, part_upper, part_place = bound_largest(
             vertices, triangles.reshape(-1, 3), *known, *target.search, lower, gap
         )
         upper = max(upper, part_upper)
