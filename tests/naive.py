@@ -140,6 +140,22 @@ def errors_in(triangle, exact):
     }
 
 
+def gain(vertex, exact, size):
+    """How far the sum of squared errors falls when triangles are bisected at a vertex.
+
+    None where a sample of theirs lacks a height.
+    """
+    triangles = bisections(size).get(vertex, [])
+    if any(place not in exact for t in triangles for place in weights(t)):
+        return None
+    before, after = {}, {}
+    for triangle in triangles:
+        before |= errors_in(triangle, exact)
+        for half in halves(triangle):
+            after |= errors_in(half, exact)
+    return sum(error**2 for error in before.values()) - sum(error**2 for error in after.values())
+
+
 def is_good(triangle, exact, tolerance):
     """Whether a triangle needs no split: all its samples void, or all within the tolerance."""
     worst = worst_error(triangle, exact)
@@ -421,10 +437,13 @@ def least_squares_within(mesh, grid, allowed):
 # --- all meshes of a small lattice --------------------------------------------------------------
 
 
-def closed_sets(size):
-    """Every set of vertices that holds the lattice's corners and the parents of its members."""
-    order = sorted(bisections(size), key=lambda vertex: len(ancestors(vertex, size)))
-    sets = [frozenset(corners_of_lattice(size))]
+def closed_sets(size, base=None, free=None):
+    """Every set of vertices that holds the lattice's corners and the parents of its members.
+
+    Or every such set that holds a closed one, with no others but those that are free.
+    """
+    order = sorted(free or bisections(size), key=lambda vertex: len(ancestors(vertex, size)))
+    sets = [frozenset(base or corners_of_lattice(size))]
     for vertex in order:
         sets += [s | {vertex} for s in sets if all(p in s for p in parents(vertex, size))]
     return sets

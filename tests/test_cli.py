@@ -48,6 +48,15 @@ def test_coarsen_keeps_a_budget(dem, tmp_path, option):
     assert 300 < summary[option[6:]] <= 700
 
 
+@pytest.mark.parametrize("option", ["--max-vertices", "--max-triangles", "--weight"])
+def test_coarsen_takes_a_norm(dem, tmp_path, option):
+    result = run("coarsen", dem, tmp_path / "out.glb", "--norm", "rms", option, 700, "--json")
+    summary, name = json.loads(result.stdout), option[2:].replace("-", "_")
+    expected = rtin.coarsen(rtin.read_grid(dem), norm="rms", **{name: 700})
+    assert summary["vertices"] == expected.n_vertices
+    assert summary["asked"] == {name: 700, "norm": "rms"}
+
+
 def test_coarsen_takes_the_threshold_of_the_paper(dem, tmp_path):
     result = run("coarsen", dem, tmp_path / "out.glb", "--threshold", 30, "--json")
     summary = json.loads(result.stdout)
@@ -105,6 +114,9 @@ def test_scaling_degrees_is_said(tmp_path, monkeypatch):
         (["--max-error", "5", "--window", "0", "5"], "--window"),
         (["--max-triangles", "1.5"], "--max-triangles"),
         (["--max-error", "5", "--fast"], "--fast"),
+        (["--max-error", "5", "--norm", "rms"], "goes with --max-vertices, --max-triangles or"),
+        (["--weight", "5"], "--weight goes with --norm rms"),
+        (["--max-vertices", "5", "--norm", "l2"], "--norm"),
     ],
 )
 def test_bad_usage_exits_with_2_and_says_what_was_wanted(dem, tmp_path, options, wanted):

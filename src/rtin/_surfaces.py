@@ -46,6 +46,15 @@ class Local(NamedTuple):
     scale: _Floats
     extent: float
 
+    def transformed(self, transform: Affine) -> Affine:
+        """Return the transform from columns and rows to the local system."""
+        a, b, x0, d, e, y0 = tuple(transform)[:6]
+        (x_scale, y_scale), (x, y) = self.scale.tolist(), self.origin.tolist()
+        return Affine(
+            *(a * x_scale, b * x_scale, (x0 - x) * x_scale),
+            *(d * y_scale, e * y_scale, (y0 - y) * y_scale),
+        )
+
     def from_world(self, points: _Floats) -> _Floats:
         """Return points, shape (n, 3), in the local system."""
         local = np.array(points, np.float64, order="C")
@@ -133,8 +142,9 @@ def _bounds(surface: TriangleMesh | Grid) -> _Floats:
         used = surface.vertices[numbers_in(surface), :2]
         return np.array([used.min(axis=0), used.max(axis=0)])
     rows, cols = surface.shape
+    a, b, x0, d, e, y0 = tuple(surface.transform)[:6]
     corners = [(0, 0), (cols - 1, 0), (0, rows - 1), (cols - 1, rows - 1)]
-    places = np.array([surface.transform * corner for corner in corners])
+    places = np.array([(a * col + b * row + x0, d * col + e * row + y0) for col, row in corners])
     return np.array([places.min(axis=0), places.max(axis=0)])
 
 
@@ -198,8 +208,7 @@ def _of_grid(grid: Grid, local: Local) -> Surface:
 
     heights = grid.heights
     n_rows, n_cols = grid.shape[0] - 1, grid.shape[1] - 1
-    shift = Affine.scale(*local.scale) * Affine.translation(*(-local.origin))
-    frame = _frame(shift * grid.transform, n_rows, n_cols)
+    frame = _frame(local.transformed(grid.transform), n_rows, n_cols)
     per_piece = max(1, _TRIANGLES_PER_PIECE // (2 * n_cols))
 
     def piece(number: int) -> Piece:

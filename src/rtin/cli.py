@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["app", "main"]
 
 _QUIET_SECONDS = 1.0
+_USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
 
 app = typer.Typer(
@@ -74,6 +75,17 @@ _Threshold = Annotated[
     float | None,
     typer.Option(
         metavar="HEIGHT", help="The paper's local criterion, Eq. (1): no promise on the surface."
+    ),
+]
+_Norm = Annotated[
+    Literal["max", "rms"],
+    typer.Option(help="What a budget makes small: the largest error, or the root mean square."),
+]
+_Weight = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SQUARE",
+        help="With --norm rms: least fall of the sum of squared errors for one more vertex.",
     ),
 ]
 _Diagonals = Annotated[
@@ -135,6 +147,8 @@ def coarsen(
     max_vertices: _MaxVertices = None,
     max_triangles: _MaxTriangles = None,
     threshold: _Threshold = None,
+    norm: _Norm = "max",
+    weight: _Weight = None,
     diagonals: _Diagonals = "lattice",
     heights: _VertexHeights = "sampled",
     band: _Band = 1,
@@ -157,9 +171,11 @@ def coarsen(
         max_vertices=max_vertices,
         max_triangles=max_triangles,
         threshold=threshold,
+        weight=weight,
     )
-    if heights != "sampled":
-        asked["heights"] = heights
+    _require_criterion_of(asked, norm)
+    chosen = {"norm": norm, "diagonals": diagonals, "heights": heights}
+    asked |= {name: value for name, value in chosen.items() if value != _USUAL[name]}
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     with _one_line_errors():
@@ -168,7 +184,6 @@ def coarsen(
         _require_writable(out, dem)
         started = time.perf_counter()
         grid = _read_grid(dem, band, window, encoding)
-        asked |= {"diagonals": diagonals} if diagonals != "lattice" else {}
         mesh, error = _coarsen_and_measure(grid, asked)
         with _progress(f"writing {out}"):
             write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)
@@ -401,6 +416,57 @@ def study_propagation(
         _report(summary, as_json)
 
 
+@study.command("accuracy")
+def study_accuracy(
+    dem: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DEM]",
+            help="Any raster that GDAL reads, or .npy; Jacksboro by default.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the pictures.")
+    ] = Path("study-accuracy"),
+    against: Annotated[
+        str,
+        typer.Option(metavar="NAMES", help="More simplifiers to compare with, apart by commas."),
+    ] = "",
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
+) -> None:
+    """Measure how near meshes are to their terrain: Tables 1 to 3, figures 5 and 6 of the paper."""
+    with _one_line_errors():
+        from rtin.studies import accuracy, accuracy_pictures
+
+        started = time.perf_counter()
+        with _values_are_usage():
+            names = accuracy.names_with(against)
+        accuracy_pictures.require_places(out)
+        grid = None if dem is None else _read_grid(dem, band, window, encoding)
+        measured = accuracy.measure(grid, names, stage=_progress)
+        with _progress(f"drawing {out}"):
+            written = accuracy_pictures.write_pictures(measured, out)
+            written.append(accuracy_pictures.write_figure_5(accuracy.close_up(grid), out))
+        summary: dict[str, Any] = {
+            "terrain": str(dem or "Jacksboro fault, Tennessee (matplotlib's sample data)"),
+            "relief": measured.relief,
+            "rows": [row.as_dict() for row in measured.rows],
+            "at_thresholds": {f"{t:g}": n for t, n in measured.at_thresholds.items()},
+            "seconds": round(time.perf_counter() - started, 3),
+            "written": [str(path) for path in written],
+            "notes": measured.notes,
+        }
+        if not as_json:
+            print(accuracy.as_text(measured), accuracy.times_as_text(measured), sep="\n\n")
+            print()
+            del summary["rows"], summary["at_thresholds"], summary["notes"]
+        _report(summary, as_json)
+
+
 # --- steps --------------------------------------------------------------------------------------
 
 
@@ -605,6 +671,17 @@ def _the_only_option(**options: float | str | Path | None) -> dict[str, Any]:
     if isinstance(value, int | float) and not value >= 0:
         raise typer.BadParameter(f"{_flag(name)} must be zero or more, got {value}")
     return given
+
+
+def _require_criterion_of(asked: dict[str, Any], norm: str) -> None:
+    """Refuse a criterion that does not go with the norm."""
+    (name,) = asked
+    if norm == "max" and name == "weight":
+        raise typer.BadParameter("--weight goes with --norm rms")
+    if norm == "rms" and name not in ("max_vertices", "max_triangles", "weight"):
+        raise typer.BadParameter(
+            f"--norm rms goes with --max-vertices, --max-triangles or --weight, got {_flag(name)}"
+        )
 
 
 def _flag(name: str) -> str:

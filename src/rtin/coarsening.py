@@ -1,11 +1,13 @@
 """Coarsening: from a raster to a right-triangulated irregular network (RTIN) of few triangles.
 
-Three families of meshes, told apart by what they promise:
+Four families of meshes, told apart by what they promise:
 
 ``max_error``
     the least RTIN mesh in which every sample lies within the tolerance of its triangle;
 ``max_vertices``, ``max_triangles``
     the mesh of the smallest such tolerance that fits a budget;
+``weight``, and those two with ``norm="rms"``
+    the mesh of the least sum of squared errors, for what a vertex may cost or within a budget;
 ``threshold``, ``removable``
     the paper's: vertices marked for removal, by Eq. (1) or by the caller, are removed as far as a
     conforming mesh allows (algorithm RTIN-Coarsening of Suárez and Plaza, "Four-triangles adaptive
@@ -23,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtin import _parallel
+from rtin import _parallel, squared_error
 from rtin._options import as_height, as_tolerance_map, the_only_option
 from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
@@ -41,6 +43,10 @@ _Tolerance = tuple[float, NDArray[np.float64] | None]
 _COARSE_PARTS = 32
 _NO_LIMIT: _Tolerance = (np.inf, None)
 _UNLIMITED = int(np.iinfo(np.int64).max)
+_OPTIONS_OF = {
+    "max": ("max_error", "max_vertices", "max_triangles", "threshold", "removable"),
+    "rms": ("max_vertices", "max_triangles", "weight"),
+}
 _MOST_NUMBERS = np.iinfo(np.int32).max
 
 
@@ -52,13 +58,16 @@ def coarsen(
     max_triangles: int | None = None,
     threshold: float | None = None,
     removable: ArrayLike | None = None,
+    weight: float | None = None,
     keep: ArrayLike | None = None,
+    norm: Literal["max", "rms"] = "max",
     diagonals: Literal["lattice", "best"] = "lattice",
     heights: Literal["sampled", "fitted"] = "sampled",
 ) -> TriangleMesh:
     """Return a conforming right-triangulated mesh of a grid, with vertices at samples.
 
-    Exactly one of the first five options says what is removed.
+    Exactly one of the first five options says what is removed; with ``norm="rms"`` it is exactly
+    one of ``max_vertices``, ``max_triangles`` and ``weight``.
 
     Parameters
     ----------
@@ -80,9 +89,21 @@ def coarsen(
         error on real terrain is up to 2.3 times the threshold.
     removable : array_like of bool, shape (rows, cols)
         The paper's matrix C: True where a vertex is to be removed if the mesh stays conforming.
+    weight : float
+        Only with ``norm="rms"``: by how much the sum of squared vertical errors must fall for
+        another vertex, in the square of the heights' unit. Of all RTIN meshes of the grid, the one
+        with the least SSE + weight * vertices, of several such the smallest: exactly, up to the
+        rounding of float64 sums. SSE counts every valid sample under the mesh once. 0 is the
+        lossless mesh.
     keep : array_like of bool, shape (rows, cols), optional
         Vertices to keep whatever the criterion says: peaks, ridges, coastlines. Samples without a
         height, and those of which no finest triangle is whole, can't be kept.
+    norm : {"max", "rms"}
+        What a budget makes small: the largest error, or the root of the mean square. With "rms" it
+        gets the largest mesh that fits of those that are best for some ``weight``: none with as
+        many vertices has a smaller rms. There is one for almost every number of vertices on real
+        terrain; what room is left is filled greedily, by the largest gain per vertex, and that is
+        *not* guaranteed to be the best. Nothing is promised on the largest error.
     diagonals : {"lattice", "best"}, optional
         Where two triangles share their hypotenuse they make a square, upright or rotated by 45
         degrees, and may share its other diagonal instead. "lattice" never does that. "best" does it
@@ -91,7 +112,7 @@ def coarsen(
         - ``max_error``: the promise is the same, and no mesh of the wider family that keeps it has
           fewer vertices; they are among those of the "lattice" mesh.
         - ``max_vertices``, ``max_triangles``: the mesh of the smallest such ``max_error``.
-        - ``threshold``, ``removable``: the vertices of the "lattice" mesh.
+        - ``threshold``, ``removable``, and all with ``norm="rms"``: the "lattice" mesh's vertices.
 
         Of the diagonals within the tolerance (both, where there is none) each square then has the
         one with the smaller sum of squared errors at its samples, the lattice's where they are
@@ -117,20 +138,22 @@ def coarsen(
     TypeError
         If ``grid`` is not a Grid, or an option is of the wrong kind.
     ValueError
-        If none or several of the five options are given; ``diagonals`` or ``heights`` is another
-        word; a tolerance is negative, or NaN where there is a height; an array is not of the grid's
-        shape; a budget is too small for the grid's outline; or the grid has no finest triangle with
-        three heights.
+        If none or several of the options are given, or one that does not go with the norm;
+        ``norm``, ``diagonals`` or ``heights`` is another word; a tolerance or weight is negative,
+        or NaN where there is a height; an array is not of the grid's shape; a budget is too small
+        for the grid's outline; or the grid has no finest triangle with three heights.
     MemoryError
         If the lattice does not fit in memory.
     """
     require_grid(grid)
-    name, value = the_only_option(
+    name, value = _asked(
+        norm,
         max_error=max_error,
         max_vertices=max_vertices,
         max_triangles=max_triangles,
         threshold=threshold,
         removable=removable,
+        weight=weight,
     )
     if heights not in ("sampled", "fitted"):
         raise ValueError(f"heights must be 'sampled' or 'fitted', got {heights!r}")
@@ -143,6 +166,10 @@ def coarsen(
         kept = _above_threshold(grid, as_height("threshold", value), required)
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
+    elif name == "weight":
+        kept = _least_squares(grid, as_height("weight", value), required)
+    elif norm == "rms":
+        kept = _least_squares_within_budget(grid, name, _as_count(name, value), required)
     else:
         kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
     _choose_diagonals(grid, kept, swapped, tolerance)
@@ -236,24 +263,48 @@ def _within_budget(
     from rtin._kernels.lattice import VERTEX, pack
 
     kept = _least_mesh(grid, _NO_LIMIT, required)
-    counts = _counts(grid, kept, _mark_used(grid, kept))
-    n_vertices, n_triangles = (int(count.sum()) for count in counts)
+    n_vertices, n_triangles = _size(grid, kept)
+    limits = _limits(name, budget, n_vertices, n_triangles)
+    rows, cols = np.nonzero(kept[: grid.shape[0], : grid.shape[1]])
+    items = pack(rows, cols, VERTEX)
+    reached = split_worst_first(
+        grid.heights, kept, swapped, items, n_vertices, n_triangles, *limits
+    )
+    return kept, (reached, None)
+
+
+def _least_squares(grid: Grid, weight: float, required: _Mask | None) -> _Kept:
+    if weight == 0.0:  # no error is worth a vertex less
+        return _least_mesh(grid, (0.0, None), required)
+    kept = _least_mesh(grid, _NO_LIMIT, required)
+    squared_error.keep_best(squared_error.vertex_gains(grid), kept, weight)
+    return kept
+
+
+def _least_squares_within_budget(
+    grid: Grid, name: str, budget: int, required: _Mask | None
+) -> _Kept:
+    kept = _least_mesh(grid, _NO_LIMIT, required)
+    size = _size(grid, kept)
+    limits = _limits(name, budget, *size)
+    gains = squared_error.vertex_gains(grid)
+    room = np.subtract(limits, size)
+    if squared_error.may_hold_all(gains, kept, room):
+        lossless = _least_mesh(grid, (0.0, None), required)
+        if all(np.less_equal(_size(grid, lossless), limits)):
+            return lossless
+    squared_error.keep_within(gains, kept, room)
+    return kept
+
+
+def _limits(name: str, budget: int, n_vertices: int, n_triangles: int) -> tuple[int, int]:
+    """Return the most vertices and triangles within a budget; refuse one below the least mesh."""
     least = n_vertices if name == "max_vertices" else n_triangles
     if budget < least:
         raise ValueError(
             f"{name} must be at least {least} for this outline and what is to keep, got {budget}"
         )
-    max_vertices, max_triangles = _UNLIMITED, _UNLIMITED
-    if name == "max_vertices":
-        max_vertices = budget
-    else:
-        max_triangles = budget
-    rows, cols = np.nonzero(kept[: grid.shape[0], : grid.shape[1]])
-    items = pack(rows, cols, VERTEX)
-    reached = split_worst_first(
-        grid.heights, kept, swapped, items, n_vertices, n_triangles, max_vertices, max_triangles
-    )
-    return kept, (reached, None)
+    return (budget, _UNLIMITED) if name == "max_vertices" else (_UNLIMITED, budget)
 
 
 # --- the two rules ------------------------------------------------------------------------------
@@ -391,6 +442,12 @@ def _counts(grid: Grid, kept: _Kept, in_mesh: int) -> tuple[_Items, _Items]:
     return n_vertices, n_triangles
 
 
+def _size(grid: Grid, kept: _Kept) -> tuple[int, int]:
+    """Return the number of vertices and triangles of a closed set's mesh."""
+    n_vertices, n_triangles = _counts(grid, kept, _mark_used(grid, kept))
+    return int(n_vertices.sum()), int(n_triangles.sum())
+
+
 def _offsets(counts: _Items) -> tuple[_Items, int]:
     ends = np.cumsum(counts)
     return ends - counts, int(ends[-1])
@@ -469,6 +526,19 @@ def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> _Shares:
 
 
 # --- the door -----------------------------------------------------------------------------------
+
+
+def _asked(norm: str, **options: Any) -> tuple[str, Any]:  # noqa: ANN401
+    """Return name and value of the one option given, of those that go with the norm."""
+    if not isinstance(norm, str) or norm not in _OPTIONS_OF:
+        raise ValueError(f"norm must be 'max' or 'rms', got {norm!r}")
+    fitting = {name: options.pop(name) for name in _OPTIONS_OF[norm]}
+    foreign = [name for name, value in options.items() if value is not None]
+    if foreign:
+        raise ValueError(
+            f"{foreign[0]} does not go with norm={norm!r}; give exactly one of {', '.join(fitting)}"
+        )
+    return the_only_option(**fitting)
 
 
 def _as_count(name: str, value: Any) -> int:  # noqa: ANN401

@@ -13,6 +13,7 @@ Computer Graphics Forum 17(2), 1998.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from dataclasses import field as hidden
 from functools import cached_property
@@ -342,26 +343,50 @@ class _Statistics:
     """What some samples say together."""
 
     sums: _Floats  # as _kernels.sampling.summarise has them
-    histogram: NDArray[np.int64]
     n_samples: int = 0
     max: float = -1.0
     place: _Floats | None = None
 
 
-def _statistics(way: _Way, done: _Progress) -> list[_Statistics]:
-    tasks = [(way, numbers, done) for numbers in _shares(way.samples.surface.n_pieces)]
+class _Histogram:
+    """Counts of distances, kept in one array for each thread that counts at the same time."""
+
+    def __init__(self) -> None:
+        self._idle: list[NDArray[np.int64]] = []
+
+    @contextmanager
+    def counts(self) -> Iterator[NDArray[np.int64]]:
+        """Give an array to add to that no other thread has."""
+        from rtin._kernels.sampling import N_BINS
+
+        try:
+            counts = self._idle.pop()
+        except IndexError:
+            counts = np.zeros(N_BINS, np.int64)
+        yield counts
+        self._idle.append(counts)
+
+    def total(self) -> NDArray[np.int64]:
+        """Return the sum of all arrays, once nobody counts any more."""
+        return np.asarray(np.sum(self._idle, axis=0))
+
+
+def _statistics(way: _Way, histogram: _Histogram, done: _Progress) -> list[_Statistics]:
+    shares = _shares(way.samples.surface.n_pieces)
+    tasks = [(way, numbers, histogram, done) for numbers in shares]
     parts: list[_Statistics] = _parallel.run(_statistics_of_pieces, tasks)
     return parts
 
 
 def _farthest_sample(way: _Way, done: _Progress) -> tuple[float, _Floats]:
-    worst = max(_statistics(way, done), key=lambda part: part.max)
+    worst = max(_statistics(way, _Histogram(), done), key=lambda part: part.max)
     assert worst.place is not None, "each surface has a corner, and each corner is a sample"
     return worst.max, worst.place
 
 
 def _one_sided(way: _Way, done: _Progress) -> OneSided:
-    parts = _statistics(way, done)
+    histogram = _Histogram()
+    parts = _statistics(way, histogram, done)
     worst = max(parts, key=lambda part: part.max)
     n_samples = sum(part.n_samples for part in parts)
     total, total_squares, area, area_total, area_squares = np.sum(
@@ -376,20 +401,23 @@ def _one_sided(way: _Way, done: _Progress) -> OneSided:
         area_rms=float(np.sqrt(area_squares / area)) if area > 0.0 else np.nan,
         place=_place(worst.place, way.local),
         n_samples=n_samples,
-        _histogram=np.sum([part.histogram for part in parts], axis=0),
+        _histogram=histogram.total(),
         _way=way,
     )
 
 
-def _statistics_of_pieces(way: _Way, numbers: range, done: _Progress) -> _Statistics:
+def _statistics_of_pieces(
+    way: _Way, numbers: range, histogram: _Histogram, done: _Progress
+) -> _Statistics:
     """Return what the samples of some pieces say."""
-    from rtin._kernels.sampling import N_BINS, summarise
+    from rtin._kernels.sampling import summarise
 
-    found = _Statistics(np.zeros(5), np.zeros(N_BINS, np.int64))
+    found = _Statistics(np.zeros(5))
     for number in numbers:
         for points, areas in way.samples.of_piece(number):
             distances, _ = way.target.nearest(points)
-            sums, worst = summarise(distances, areas, found.histogram)
+            with histogram.counts() as counts:
+                sums, worst = summarise(distances, areas, counts)
             found.sums += sums
             found.n_samples += len(points)
             if distances[worst] > found.max:

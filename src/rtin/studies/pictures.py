@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin._atomic import require_place, write_bytes
 from rtin.conformity import propagation
 from rtin.mesh import TriangleMesh
+from rtin.studies import _drawing
+from rtin.studies._drawing import GREY, INK, PALE, draw_mesh, write_picture
 from rtin.studies.propagation import (
     PAPER,
     PLACES,
@@ -30,21 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PICTURES", "require_places", "write_pictures"]
 
-_INK, _GREY, _PALE = "#1c2733", "#8a939c", "#c9d3dc"
 _COLOURS = {"M1": "#b5532a", "M2": "#2f6f9f"}
-_DOTS_PER_INCH = 120
-_STYLE: Any = {
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": _GREY,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-}
 _DRAWN_STEPS = 5  # of refining at a corner: smaller triangles could not be seen
 _DRAWN_PART = 0.251  # of the unit square's sides
 _DRAWN_STRIP = 14  # triangles
@@ -52,42 +39,23 @@ _DRAWN_STRIP = 14  # triangles
 
 def require_places(folder: Path) -> None:
     """Make the folder; raise an OSError now where ``write_pictures`` would."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in PICTURES:
-        require_place(folder / name)
+    _drawing.require_places(folder, PICTURES)
 
 
 def write_pictures(study: Study, folder: str | os.PathLike[str]) -> list[Path]:
     """Write the pictures of a study to a folder; return their paths.
 
     What takes ``long`` to measure is drawn if it was measured. Each file is written whole or not
-    at all. pyplot is not touched.
+    at all.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     written = []
     for name, (size, draw) in PICTURES.items():
         if draw is _draw_long_runs and study.long is None:
             continue
-        with mpl.rc_context(_STYLE):
-            figure = Figure(figsize=size, layout="constrained")
-            draw(figure, study)
-            picture = io.BytesIO()
-            figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH)
         path = Path(folder) / name
-        write_bytes(path, _with_a_palette(picture))
+        write_picture(path, size, partial(draw, study=study))
         written.append(path)
     return written
-
-
-def _with_a_palette(picture: io.BytesIO) -> memoryview:
-    """Return a PNG in 128 colours: a third of the bytes, and no difference to see."""
-    from PIL import Image
-
-    smaller = io.BytesIO()
-    Image.open(picture).convert("RGB").quantize(128).save(smaller, "png", optimize=True)
-    return smaller.getbuffer()
 
 
 # --- figure 3 -----------------------------------------------------------------------------------
@@ -96,7 +64,7 @@ def _with_a_palette(picture: io.BytesIO) -> memoryview:
 def _draw_figure_3(figure: Figure, study: Study) -> None:
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
     mesh = study.one_run.mesh
-    _draw_mesh(left, mesh, line_width=0.4)
+    draw_mesh(left, mesh, line_width=0.4)
     n_splits = int(study.runs.splits[-1])
     left.set_title(f"(a) {mesh.n_triangles:,} triangles after {n_splits} splits")
     runs = study.runs
@@ -113,7 +81,7 @@ def _draw_figure_3(figure: Figure, study: Study) -> None:
             )
             right.plot(runs.splits, mean, color=colour, lw=1.6, label=label)
         right.plot(study.one_run.splits, one, color=colour, lw=0.6, label=f"{name}, mesh of (a)")
-        right.axhline(paper, color=_INK, lw=0.8, ls=(0, (5, 3)))
+        right.axhline(paper, color=INK, lw=0.8, ls=(0, (5, 3)))
         right.annotate(
             f"the paper's {name} = {paper}", (1.0, paper), xycoords=("axes fraction", "data"),
             xytext=(0, -3), textcoords="offset points", ha="right", va="top", fontsize=8.0,
@@ -135,7 +103,7 @@ def _draw_histograms(figure: Figure, study: Study) -> None:
         counts = [getattr(run, f"{name.lower()}_counts") for run in (study.runs, study.tins)]
         labels = [f"RTIN after {n_splits} splits", f"Delaunay, {n_points:,} points"]
         for shift, colour, label, count in zip(
-            (-0.2, 0.2), (_COLOURS[name], _PALE), labels, counts, strict=True
+            (-0.2, 0.2), (_COLOURS[name], PALE), labels, counts, strict=True
         ):
             values, shares = np.arange(len(count)), 100.0 * count / count.sum()
             mean = float(values @ shares) / 100.0
@@ -206,7 +174,7 @@ def _draw_touched(ax: Axes, mesh: TriangleMesh, target: int | None = None) -> in
     for triangle in touched:
         colours[triangle] = "#a9cbe3"
     colours[target] = _COLOURS["M2"]
-    _draw_mesh(ax, mesh, line_width=0.5, colours=colours)
+    draw_mesh(ax, mesh, line_width=0.5, colours=colours)
     return len(touched) - 1
 
 
@@ -221,13 +189,13 @@ def _draw_long_runs(figure: Figure, study: Study) -> None:
         key, colour = name.lower(), _COLOURS[name]
         _draw_band(ax, long.rtin, key, colour, f"uniform mesh, {len(long.rtin.m1)} seeds")
         _draw_band(
-            ax, long.tin, key, _GREY, f"Delaunay mesh of 1000 points, {len(long.tin.m1)} seeds"
+            ax, long.tin, key, GREY, f"Delaunay mesh of 1000 points, {len(long.tin.m1)} seeds"
         )
         last = getattr(long.longest, key)[:, -1]
         ax.plot([long.longest.splits[-1]], [last.mean()], "o", ms=4.0, color=colour,
                 label=f"uniform mesh, {len(last)} seeds: {last.mean():.3f}")  # fmt: skip
         paper = getattr(PAPER["refined"], key)
-        ax.axhline(paper, color=_INK, lw=0.8, ls=(0, (5, 3)), label=f"the paper's {paper}")
+        ax.axhline(paper, color=INK, lw=0.8, ls=(0, (5, 3)), label=f"the paper's {paper}")
         ax.set(xscale="log", xlabel="refinements", ylabel=f"mean {name} over the mesh")
         ax.legend(loc="lower right")
 
@@ -241,26 +209,7 @@ def _draw_band(ax: Axes, run: Evolution, key: str, colour: str, label: str) -> N
     ax.plot(splits, mean, color=colour, lw=1.4, label=label)
 
 
-# --- meshes -------------------------------------------------------------------------------------
-
-
-def _draw_mesh(
-    ax: Axes, mesh: TriangleMesh, *, line_width: float, colours: list[str] | None = None
-) -> None:
-    from matplotlib.collections import PolyCollection
-
-    outlines: Any = mesh.vertices[mesh.triangles, :2]
-    fills = "#ffffff" if colours is None else colours
-    ax.add_collection(
-        PolyCollection(outlines, facecolors=fills, edgecolors=_INK, linewidths=line_width)
-    )
-    ax.autoscale_view()
-    ax.margins(0.01)
-    ax.set_aspect("equal")
-    ax.set_axis_off()
-
-
-_Draw = Callable[[Any, Study], None]
+_Draw = Callable[..., None]
 
 # name: size in inches, and what draws it
 PICTURES: dict[str, tuple[tuple[float, float], _Draw]] = {
