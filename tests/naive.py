@@ -6,7 +6,7 @@ midpoint of the hypotenuse; heights are exact fractions. Every place is a pair (
 
 from fractions import Fraction
 from functools import cache
-from itertools import pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
 
@@ -722,3 +722,133 @@ class History:
             piece.halves, piece.inner, piece.outer, piece.whole = [], None, None, None
             new.append(piece)
         return new
+
+
+# --- distances ----------------------------------------------------------------------------------
+# Points are triples of exact fractions, triangles are three of them, and so are squares exact.
+
+
+def exact_points(points):
+    return [tuple(Fraction(float(value)) for value in point) for point in points]
+
+
+def triangles_in_space(surface):
+    """The exact triangles of a mesh, or the finest ones of a grid."""
+    if hasattr(surface, "triangles"):
+        return [tuple(exact_points(surface.vertices[t])) for t in surface.triangles]
+    a, b, c, d, e, f = (Fraction(value) for value in tuple(surface.transform)[:6])
+    exact = exact_heights(surface.heights)
+    at = {(r, q): (a * q + b * r + c, d * q + e * r + f, z) for (r, q), z in exact.items()}
+    return [tuple(at[corner] for corner in triangle) for triangle in finest(surface.heights)]
+
+
+def dot(p, q):
+    return sum(x * y for x, y in zip(p, q, strict=True))
+
+
+def minus(p, q, times=1):
+    return tuple(x - times * y for x, y in zip(p, q, strict=True))
+
+
+def square_to_segment(point, a, b):
+    side, off = minus(b, a), minus(point, a)
+    length = dot(side, side)
+    off = minus(off, side, min(max(dot(off, side) / length, 0), 1) if length else 0)
+    return dot(off, off)
+
+
+def square_to_triangle(point, triangle):
+    """Squared distance: to the plane if the foot is inside, by least squares, else to the sides."""
+    a, b, c = triangle
+    u, v, w = minus(b, a), minus(c, a), minus(point, a)
+    uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
+    determinant = uu * vv - uv * uv
+    if determinant:
+        s, t = (vv * uw - uv * vw) / determinant, (uu * vw - uv * uw) / determinant
+        if s >= 0 and t >= 0 and s + t <= 1:
+            off = minus(minus(w, u, s), v, t)
+            return dot(off, off)
+    return min(square_to_segment(point, p, q) for p, q in combinations(triangle, 2))
+
+
+def distances(points, surface):
+    """From each point to the nearest of all the surface's triangles, rounded once."""
+    triangles = triangles_in_space(surface)
+    return np.array(
+        [
+            float(min(square_to_triangle(point, t) for t in triangles)) ** 0.5
+            for point in exact_points(points)
+        ]
+    )
+
+
+# --- Metro's samples ----------------------------------------------------------------------------
+
+
+def area_of(a, b, c):
+    return np.linalg.norm(np.cross(b - a, c - a)) / 2.0
+
+
+def carried(sizes, density, taken=int):
+    """How many points elements of some sizes get: what is left of a point goes to the next one."""
+    counts, owed = [], 0.0
+    for size in sizes:
+        owed += size * density
+        counts.append(taken(int(owed)))
+        owed -= counts[-1]
+    return counts
+
+
+def power_of_two(n):
+    return max((2**k for k in range(40) if 2**k <= n), default=0)
+
+
+def triangular(n):
+    """The largest number of points inside a regular lattice that is not above n."""
+    return max(m * (m + 1) // 2 for m in range(n + 1) if m * (m + 1) // 2 <= n)
+
+
+def centres_of_halves(corners, n_points):
+    if n_points == 1:
+        return [sum(corners) / 3.0]
+    _, a, b, c = max(
+        (np.linalg.norm(p - q), i, j, 3 - i - j)
+        for (i, p), (j, q) in combinations(enumerate(corners), 2)
+    )
+    middle = (corners[a] + corners[b]) / 2.0
+    parts = [corners[a], middle, corners[c]], [middle, corners[b], corners[c]]
+    return [centre for part in parts for centre in centres_of_halves(part, n_points // 2)]
+
+
+def points_of_lattice(corners, n_points):
+    n = 3
+    while (n - 1) * (n - 2) // 2 < n_points:
+        n += 1
+    inside = [w for w in product(range(1, n), repeat=3) if sum(w) == n]
+    return [sum(w / n * corner for w, corner in zip(ws, corners, strict=True)) for ws in inside]
+
+
+TAKEN = {"subdivision": power_of_two, "similar": triangular, "montecarlo": int}
+PLACED = {"subdivision": centres_of_halves, "similar": points_of_lattice}
+
+
+def metro(mesh, n_samples, sampling):
+    """Corners, points on edges, and counts and areas for triangles, of a mesh in one piece."""
+    at = mesh.vertices
+    used = sorted(set(mesh.triangles.ravel()))
+    edges = sorted({tuple(sorted(e)) for t in mesh.triangles for e in combinations(t, 2)})
+    lengths = [np.linalg.norm(at[b] - at[a]) for a, b in edges]
+    areas = [area_of(*at[triangle]) for triangle in mesh.triangles]
+    left = n_samples - len(used)
+    if left <= 0:
+        return at[used], np.empty((0, 3)), [0] * len(areas), areas
+    # A millionth of a point to spare, as totals that are whole numbers would be rounded.
+    per_length = min((left / sum(areas)) ** 0.5, (left * 9 // 10 + 1e-6) / sum(lengths))
+    on_edges = [
+        at[a] + i / (n + 1) * (at[b] - at[a])
+        for (a, b), n in zip(edges, carried(lengths, per_length), strict=True)
+        for i in range(1, n + 1)
+    ]
+    left -= int(sum(lengths) * per_length)
+    counts = carried(areas, (left + 1e-6) / sum(areas), TAKEN[sampling])
+    return at[used], np.array(on_edges).reshape(-1, 3), counts, areas

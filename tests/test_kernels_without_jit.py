@@ -35,6 +35,11 @@ CHOSEN = [
     "test_adaptive.py::test_makes_and_unmakes_the_triangles_that_the_docstrings_say",
     "test_adaptive.py::test_coarsening_all_again_and_again_comes_back_to_the_first_mesh",
     "test_adaptive.py::test_values_of_triangles_are_means_over_what_they_lie_in_or_hold",
+    "test_distance.py::test_is_exact_near_and_far",
+    "test_distance.py::test_is_the_nearest_of_all_triangles_of_any_grid",
+    "test_distance.py::test_bounds_hold_what_samples_find",
+    "test_sampling.py::test_takes_what_metro_takes",
+    "test_sampling.py::test_all_edges_get_points",
 ]
 # Notes every kernel that runs, so that one left out of the tests above is found.
 PROGRAM = """

@@ -22,6 +22,9 @@ _Numbers = NDArray[np.int64]
 SAMPLINGS: tuple[Sampling, ...] = ("subdivision", "montecarlo", "similar", "vertices")
 _AT_A_TIME = 1 << 16
 _MOST_IN_A_PART = 1 << 12  # of a large triangle
+_MOST_ON_EDGES = 0.9  # of all points: slivers would have them without end
+_NO_AREA = 1e-30  # in units of the edges' length, squared
+_SPARE = 1e-6  # of a point, so that rounding does not lose the last one
 
 
 class Chunk(NamedTuple):
@@ -115,11 +118,15 @@ def samples_of(
     before = [_Size(*row) for row in (ends - sizes).tolist()]
     total = _Size(*ends[-1].tolist())
     left = wanted - total.n_corners
-    if sampling == "vertices" or left <= 0.0 or total.area == 0.0:
+    if sampling == "vertices" or left <= 0.0 or total.length == 0.0:
         return SurfaceSamples(surface, sampling, seed, before, 0.0, 0.0)
-    per_length = float(np.sqrt(left / total.area))
-    left = max(0.0, left - np.floor(total.length * per_length))
-    return SurfaceSamples(surface, sampling, seed, before, per_length, left / total.area)
+    per_length = (np.floor(_MOST_ON_EDGES * left) + _SPARE) / total.length
+    has_area = total.area > _NO_AREA * total.length**2
+    if has_area:
+        per_length = min(per_length, float(np.sqrt(left / total.area)))
+    left += _SPARE - np.floor(total.length * per_length)
+    per_area = left / total.area if has_area else 0.0
+    return SurfaceSamples(surface, sampling, seed, before, per_length, per_area)
 
 
 def _size_of_piece(surface: Surface, number: int) -> _Size:

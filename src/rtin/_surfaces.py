@@ -26,7 +26,8 @@ _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.int64]
 
 _TRIANGLES_PER_PIECE = 16384
-_FEWEST_PIECES = 64  # of a mesh with that many triangles: there may be many samples in each
+_FEWEST_PIECES = 64  # of a mesh of some size: there may be many samples in each triangle
+_FEWEST_TRIANGLES = 16  # in a piece: what its last one leaves of a point is lost
 _NO_HEIGHTS = np.empty((0, 0), np.float32)
 _NO_NUMBERS = np.empty(0, np.int32)
 _NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int32)
@@ -154,7 +155,8 @@ def _bounds(surface: TriangleMesh | Grid) -> _Floats:
 def _of_mesh(mesh: TriangleMesh, local: Local) -> Surface:
     vertices = local.from_world(mesh.vertices)
     n_pieces = max(
-        -(-mesh.n_triangles // _TRIANGLES_PER_PIECE), min(_FEWEST_PIECES, mesh.n_triangles)
+        -(-mesh.n_triangles // _TRIANGLES_PER_PIECE),
+        min(_FEWEST_PIECES, -(-mesh.n_triangles // _FEWEST_TRIANGLES)),
     )
     corners, edges = numbers_in(mesh), mesh.edges()
 

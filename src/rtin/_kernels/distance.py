@@ -21,7 +21,8 @@ from rtin._kernels._jit import inlined, jit
 BLOCK = 8  # cells a side of the smallest blocks
 FEW = 16  # cells that are looked at without going through blocks
 MARGIN = 1e-9  # of a cell, that places in the frame may be rounded by
-FLAT = 1e-24  # a triangle's normal, squared, in units of two of its sides, that counts as none
+SLIM = 1e-6  # sine at a corner, squared, that leaves too few digits of the product of two sides
+FLAT = 1e-30  # height over a side, squared, in units of another side, that is all rounding
 
 # A frame is an array: x and y of its origin, of a step of one column and of one row; what brings
 # x and y back to columns and to rows; and, at these places:
@@ -44,6 +45,34 @@ def segment_square(px, py, pz, ax, ay, az, bx, by, bz):
 
 
 @jit
+def slim_square(apx, apy, apz, abx, aby, abz, acx, acy, acz):
+    """Squared distance to the inside of a slim triangle from above or below it; inf elsewhere.
+
+    The vectors are those from a corner. The height over ab is made upright to it twice: the foot is
+    then that in a triangle whose third corner is off by no more than the rounding of its place,
+    while the product of two sides would tilt by far more.
+    """
+    ab, ac = abx * abx + aby * aby + abz * abz, acx * acx + acy * acy + acz * acz
+    if ab == 0.0:
+        return np.inf
+    along = (acx * abx + acy * aby + acz * abz) / ab
+    hx, hy, hz = acx - along * abx, acy - along * aby, acz - along * abz
+    rest = (hx * abx + hy * aby + hz * abz) / ab
+    hx, hy, hz = hx - rest * abx, hy - rest * aby, hz - rest * abz
+    height = hx * hx + hy * hy + hz * hz
+    if height <= FLAT * ac:
+        return np.inf
+    of_ab = (apx * abx + apy * aby + apz * abz) / ab
+    of_c = (apx * hx + apy * hy + apz * hz) / height
+    of_b = of_ab - of_c * (along + rest)
+    if of_b < 0.0 or of_c < 0.0 or of_b + of_c > 1.0:
+        return np.inf
+    x, y = apx - of_ab * abx - of_c * hx, apy - of_ab * aby - of_c * hy
+    z = apz - of_ab * abz - of_c * hz
+    return x * x + y * y + z * z
+
+
+@jit
 def triangle_square(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz, enough):
     """Squared distance from a point to a triangle, which may be flat; inf where it is ``enough``.
 
@@ -55,11 +84,13 @@ def triangle_square(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz, enough):
     nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
     normal = nx * nx + ny * ny + nz * nz
     ab, ac = abx * abx + aby * aby + abz * abz, acx * acx + acy * acy + acz * acz
-    if normal <= FLAT * ab * ac:
+    apx, apy, apz = px - ax, py - ay, pz - az
+    if normal <= SLIM * ab * ac:
         to_ab = segment_square(px, py, pz, ax, ay, az, bx, by, bz)
         to_bc = segment_square(px, py, pz, bx, by, bz, cx, cy, cz)
-        return min(to_ab, to_bc, segment_square(px, py, pz, cx, cy, cz, ax, ay, az))
-    apx, apy, apz = px - ax, py - ay, pz - az
+        to_ca = segment_square(px, py, pz, cx, cy, cz, ax, ay, az)
+        to_inside = slim_square(apx, apy, apz, abx, aby, abz, acx, acy, acz)
+        return min(to_ab, to_bc, to_ca, to_inside)
     height = nx * apx + ny * apy + nz * apz
     if height * height >= enough * normal:
         return np.inf
@@ -113,8 +144,7 @@ def cell_square(px, py, pz, heights, frame, row, col, half, enough):
     # The corner of the right angle, and the ones beside and below or above it.
     corner_row, corner_col = row + half, col + (half ^ slant ^ 1)
     side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
-    # In float64: differences of float32 would be rounded to float32.
-    a = np.float64(heights[corner_row, corner_col])
+    a = np.float64(heights[corner_row, corner_col])  # differences of float32 would be rounded
     b, c = np.float64(heights[corner_row, side_col]), np.float64(heights[end_row, corner_col])
     if np.isnan(a + b + c):
         return np.inf

@@ -209,10 +209,11 @@ def lattice_intervals(n_points):
 def count_in_parts(areas, per_area, owed, method, counts, stands_for):
     """Write how many points each part of a triangle gets, and the area that each stands for.
 
-    A part too small for a point of its own is counted to the next one that gets some. ``owed`` is
-    what parts before these left of a point.
+    A part too small for a point of its own is counted to the next one that gets some, or else to
+    the last one, so that all of them together stand for the whole. ``owed`` is what parts before
+    these left of a point.
     """
-    uncounted = owed / per_area if per_area > 0.0 else 0.0
+    uncounted, last = 0.0, -1
     for number in range(areas.size):
         owed += areas[number] * per_area
         uncounted += areas[number]
@@ -225,7 +226,9 @@ def count_in_parts(areas, per_area, owed, method, counts, stands_for):
         counts[number] = n_points
         if n_points > 0:
             stands_for[number] = uncounted / n_points
-            owed, uncounted = owed - n_points, 0.0
+            owed, uncounted, last = owed - n_points, 0.0, number
+    if last >= 0:
+        stands_for[last] += uncounted / counts[last]
 
 
 # --- parts of triangles -------------------------------------------------------------------------
