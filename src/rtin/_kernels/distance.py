@@ -425,3 +425,47 @@ def nearest_on_surface(points, surface, frame, blocks, squares, nearest):
     for i in range(points.shape[0]):
         point = points[i, 0], points[i, 1], points[i, 2]
         squares[i], nearest[i] = nearest_to_point(point, surface, frame, blocks, waiting, bounds)
+
+
+# --- by number ----------------------------------------------------------------------------------
+
+
+@jit
+def corners_at(vertices, triangle):
+    """Nine coordinates of a triangle of vertices."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    return (
+        vertices[a, 0],
+        vertices[a, 1],
+        vertices[a, 2],
+        vertices[b, 0],
+        vertices[b, 1],
+        vertices[b, 2],
+        vertices[c, 0],
+        vertices[c, 1],
+        vertices[c, 2],
+    )
+
+
+@jit
+def corners_of(surface, frame, number):
+    """Nine coordinates of the triangle of that number; some are NaN at a void of a grid."""
+    heights, _, _, vertices, triangles = surface
+    if heights.size == 0:
+        return corners_at(vertices, triangles[number])
+    row, col = divmod(number >> 1, heights.shape[1] - 1)
+    half = number & 1
+    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
+    side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
+    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
+    return (
+        x0 + ux * corner_col + vx * corner_row,
+        y0 + uy * corner_col + vy * corner_row,
+        np.float64(heights[corner_row, corner_col]),
+        x0 + ux * side_col + vx * corner_row,
+        y0 + uy * side_col + vy * corner_row,
+        np.float64(heights[corner_row, side_col]),
+        x0 + ux * corner_col + vx * end_row,
+        y0 + uy * corner_col + vy * end_row,
+        np.float64(heights[end_row, corner_col]),
+    )

@@ -24,6 +24,7 @@ from rtin._kernels.distance import (
     N_COLS,
     N_ROWS,
     cell_number,
+    corners_of,
     nearest_to_point,
     place_in,
     triangle_square,
@@ -42,41 +43,6 @@ OUTSIDE = 1.0 / 16.0  # of the tolerance: polygons may reach so far beyond their
 DEEPEST = 100
 
 # --- one triangle -------------------------------------------------------------------------------
-
-
-@jit
-def corners_of(surface, frame, number):
-    """Nine coordinates of the triangle of that number; some are NaN at a void of a grid."""
-    heights, _, _, vertices, triangles = surface
-    if heights.size == 0:
-        a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
-        return (
-            vertices[a, 0],
-            vertices[a, 1],
-            vertices[a, 2],
-            vertices[b, 0],
-            vertices[b, 1],
-            vertices[b, 2],
-            vertices[c, 0],
-            vertices[c, 1],
-            vertices[c, 2],
-        )
-    row, col = divmod(number >> 1, heights.shape[1] - 1)
-    half = number & 1
-    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
-    side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
-    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
-    return (
-        x0 + ux * corner_col + vx * corner_row,
-        y0 + uy * corner_col + vy * corner_row,
-        np.float64(heights[corner_row, corner_col]),
-        x0 + ux * side_col + vx * corner_row,
-        y0 + uy * side_col + vy * corner_row,
-        np.float64(heights[corner_row, side_col]),
-        x0 + ux * corner_col + vx * end_row,
-        y0 + uy * corner_col + vy * end_row,
-        np.float64(heights[end_row, corner_col]),
-    )
 
 
 @jit
