@@ -205,7 +205,7 @@ def test_of_two_sheets_above_each_other():
 # --- any surfaces -------------------------------------------------------------------------------
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(seeds, st.sampled_from(KINDS), st.sampled_from(KINDS), st.sampled_from([1e-1, 1e-3, 1e-6]))
 def test_bounds_hold_and_are_as_near_as_asked_for(seed, kind_a, kind_b, tolerance):
     rng = np.random.default_rng(seed)
@@ -225,6 +225,19 @@ def test_closer_bounds_lie_within_wider_ones(seed, kind_a, kind_b):
     wide, close = (rtin.hausdorff(a, b, tolerance=tolerance) for tolerance in (0.3, 1e-7))
     assert close.lower <= wide.upper + 1e-9
     assert wide.lower <= close.upper + 1e-9
+
+
+@pytest.mark.parametrize("tolerance", [2.0, 0.5, 0.1])
+def test_a_wide_bound_holds_where_surfaces_are_laid_over_each_other(tolerance):
+    """Bounds from few and large polygons, with the maximum inside them."""
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        one = lattice(rng.uniform(0, 4, (6, 6)), step=6.0)
+        other = lattice(rng.uniform(0, 4, (5, 5)), slant=1, step=7.5)
+        close = rtin.hausdorff(one, other, tolerance=1e-7)
+        wide = rtin.hausdorff(one, other, tolerance=tolerance)
+        for narrow, bounds in ((close.forward, wide.forward), (close.backward, wide.backward)):
+            assert bounds.lower - 1e-9 <= narrow.lower <= narrow.upper <= bounds.upper + 2e-7
 
 
 @given(terrains.rasters(largest=17), terrains.tolerances)

@@ -19,8 +19,8 @@ UP = Affine.scale(1.0)  # y runs with the rows
 
 
 def flat(height=0.0, side=8.0, west=0.0, south=0.0):
-    corners = np.array([(0, 0), (side, 0), (side, side), (0, side)]) + (west, south)
-    return TriangleMesh(np.column_stack([corners, np.full(4, height)]), [[0, 1, 2], [0, 2, 3]])
+    x, y = west + np.array([0, side, side, 0]), south + np.array([0, 0, side, side])
+    return TriangleMesh(np.column_stack([x, y, np.full(4, height)]), [[0, 1, 2], [0, 2, 3]])
 
 
 def pyramid(height, side=8.0):
@@ -56,8 +56,8 @@ def rough_pair(seed):
     return cloud(rng), terrain(rng)
 
 
-def close(value, rel=1e-11, abs=1e-11):
-    return pytest.approx(value, rel=rel, abs=abs)
+def close(value, **within):
+    return pytest.approx(value, **{"rel": 1e-11, "abs": 1e-11, **within})
 
 
 # --- against the twin ---------------------------------------------------------------------------
@@ -247,7 +247,7 @@ def test_raising_one_raises_the_difference():
     assert high.normals == low.normals
 
 
-def test_of_a_terrain_and_itself_is_nothing():
+def test_of_a_mesh_and_itself_is_nothing():
     for shape in (terrains.noise((20, 33)), terrains.cliff((17, 9))):
         grid = rtin.Grid(shape, terrains.TRANSFORMS["rotated"])
         found = rtin.terrain_difference(grid, grid)
@@ -290,12 +290,12 @@ def test_terrains_must_have_an_area_in_common(west):
 
 
 def test_terrains_must_be_meshes_or_grids():
-    with pytest.raises(TypeError, match="terrain_b must be a TriangleMesh or a Grid, got ndarray"):
+    with pytest.raises(TypeError, match="mesh_b must be a TriangleMesh or a Grid, got ndarray"):
         rtin.terrain_difference(flat(), np.zeros((3, 3)))
 
 
 def test_terrains_must_have_triangles():
-    with pytest.raises(ValueError, match="terrain_a must have triangles"):
+    with pytest.raises(ValueError, match="mesh_a must have triangles"):
         rtin.terrain_difference(TriangleMesh(np.zeros((3, 3)), np.empty((0, 3), int)), flat())
 
 

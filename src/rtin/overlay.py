@@ -99,8 +99,8 @@ class TerrainDifference:
 
 
 def terrain_difference(
-    terrain_a: TriangleMesh | Grid,
-    terrain_b: TriangleMesh | Grid,
+    mesh_a: TriangleMesh | Grid,
+    mesh_b: TriangleMesh | Grid,
     *,
     progress: Progress | None = None,
 ) -> TerrainDifference:
@@ -111,7 +111,7 @@ def terrain_difference(
 
     Parameters
     ----------
-    terrain_a, terrain_b : TriangleMesh or Grid
+    mesh_a, mesh_b : TriangleMesh or Grid
         A grid stands for its finest triangles. Triangles without an area seen from above count for
         nothing, which way round the others run does not matter. Where a mesh overlaps itself, its
         area is counted as often as it covers a place, and that of the other is never less than
@@ -132,8 +132,8 @@ def terrain_difference(
         If a terrain has no triangle or a vertex that is not finite, the terrains have unlike CRS,
         or no area in common.
     """
-    local, a, b = two_surfaces(terrain_a, terrain_b)
-    is_turned = _rank(terrain_a, a) > _rank(terrain_b, b)
+    local, a, b = two_surfaces(mesh_a, mesh_b)
+    is_turned = _rank(mesh_a, a) > _rank(mesh_b, b)
     source, target = (b, a) if is_turned else (a, b)
     found = _differences(source, target, _width_of_edges(local), Steps(progress, source.n_pieces))
     if not found.area > 0.0:
