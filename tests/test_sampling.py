@@ -77,6 +77,14 @@ def test_takes_about_as_many_as_wanted_and_they_stand_for_the_whole(name, sampli
     assert (areas >= 0.0).all()
 
 
+@pytest.mark.parametrize("sampling", INSIDE)
+def test_triangles_without_a_sample_are_counted_to_others(sampling):
+    mesh = surfaces.soup(400)  # pieces of 16 triangles
+    areas = samples_of(mesh, sampling, 4000)[2]
+    assert 100 < (areas > 0.0).sum() < 350
+    assert areas.sum() == pytest.approx(area_of(mesh), rel=1e-12)
+
+
 def many_pieces():
     """A grid of several pieces, and the mesh of its triangles, which has others."""
     heights = np.random.default_rng(1).random((150, 260))

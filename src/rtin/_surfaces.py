@@ -116,7 +116,7 @@ def local_system(*surfaces: TriangleMesh | Grid) -> Local:
 
     The first CRS found is theirs.
     """
-    bounds = np.array([_bounds(surface) for surface in surfaces])
+    bounds = np.array([bounds_of(surface) for surface in surfaces])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
     middle = (low + high) / 2.0
     crs = next((surface.crs for surface in surfaces if surface.crs is not None), None)
@@ -138,7 +138,8 @@ def numbers_in(mesh: TriangleMesh) -> _Numbers:
     return np.flatnonzero(is_used)
 
 
-def _bounds(surface: TriangleMesh | Grid) -> _Floats:
+def bounds_of(surface: TriangleMesh | Grid) -> _Floats:
+    """Return the least and the largest x and y, in the world, shape (2, 2)."""
     if isinstance(surface, TriangleMesh):
         used = surface.vertices[numbers_in(surface), :2]
         return np.array([used.min(axis=0), used.max(axis=0)])

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,10 +23,12 @@ if TYPE_CHECKING:
     from rtin.criteria import VerticalError
     from rtin.grid import Grid
     from rtin.mesh import TriangleMesh
+    from rtin.studies.comparison import Method
 
 __all__ = ["app", "main"]
 
 _QUIET_SECONDS = 1.0
+_SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
 
@@ -344,6 +346,101 @@ def plot(
 
 
 @app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A mesh or a raster that rtin reads.")],
+    b: Annotated[
+        Path | None, typer.Argument(metavar="[B]", help="Another one.", show_default=False)
+    ] = None,
+    max_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEIGHTS",
+            help="In place of B: tolerances to simplify the raster A to, apart by commas.",
+        ),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Other simplifiers to measure too, apart by commas, or all."
+        ),
+    ] = None,
+    match: Annotated[
+        Literal["vertices", "error"] | None,
+        typer.Option(
+            help="Others get as many vertices as the least mesh (by default), or its tolerance.",
+            show_default=False,
+        ),
+    ] = None,
+    sampling: Annotated[
+        Literal["subdivision", "montecarlo", "similar", "vertices"],
+        typer.Option(help="Where the samples of a triangle lie, as in Metro."),
+    ] = "subdivision",
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Samples of each side; by default 10 a triangle.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of montecarlo's samples.")] = 0,
+    certified: Annotated[
+        bool, typer.Option("--certified", help="Bound the Hausdorff distance too.")
+    ] = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HEIGHT",
+            help="How far these bounds may be apart; by default 0.1 %.",
+            show_default=False,
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the table, for a spreadsheet.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a report with pictures: one page.")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a map of the errors: .png .jpg .svg .pdf."),
+    ] = None,
+    band: _Band = 1,
+    window: _Window = None,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
+) -> None:
+    """Measure how far two surfaces are from each other, or simplified meshes from their raster."""
+    _require_comparable(a, b, max_error, against=against, match=match)
+    _require_positive("--tolerance", tolerance)
+    if tolerance is not None and not certified:
+        raise typer.BadParameter("--tolerance goes with --certified")
+    with _one_line_errors():
+        from rtin.studies.comparison import Method
+
+        started = time.perf_counter()
+        wanted = {"csv": csv, "html": html, "picture": picture}
+        outputs = {name: out for name, out in wanted.items() if out is not None}
+        _require_reports(outputs, a, b)
+        method = Method(sampling, samples, seed, certified, tolerance)
+
+        def read(path: Path) -> TriangleMesh | Grid:
+            return _read_surface(path, band, window, encoding)
+
+        if b is None:
+            assert max_error is not None
+            asked = max_error, against or "", match or "vertices"
+            summary = _compared_with_others(a, asked, method, read, outputs, as_json)
+        else:
+            summary = _compared_pair((a, b), method, read, outputs, as_json)
+        summary["seconds"] = round(time.perf_counter() - started, 3)
+        summary["written"] = [str(out) for out in outputs.values()]
+        summary["notes"] = summary.pop("notes")
+        _report(summary, as_json)
+
+
+@app.command()
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the files made.")] = Path("demo"),
     max_error: Annotated[
@@ -484,14 +581,20 @@ def _read_grid(
 
 
 def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMesh, VerticalError]:
-    from rtin.coarsening import coarsen, is_compiled
+    from rtin.coarsening import coarsen
 
-    if not is_compiled():
-        _say("first run: compiling, which takes some 15 seconds, once for this machine")
+    _say_if_not_compiled()
     rows, cols = grid.shape
     with _progress(f"coarsening {rows} × {cols} samples"):
         mesh = coarsen(grid, **asked)
     return mesh, _measured(mesh, grid)
+
+
+def _say_if_not_compiled() -> None:
+    from rtin.coarsening import is_compiled
+
+    if not is_compiled():
+        _say("first run: compiling, which takes some 15 seconds, once for this machine")
 
 
 def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
@@ -657,6 +760,143 @@ def _achieved(error: VerticalError) -> dict[str, Any]:
     return {"achieved": figures, "uncovered_samples": error.n_uncovered}
 
 
+# --- comparing ----------------------------------------------------------------------------------
+
+
+_Reader = Callable[[Path], "TriangleMesh | Grid"]
+
+
+def _require_comparable(a: Path, b: Path | None, max_error: str | None, **others: Any) -> None:  # noqa: ANN401
+    """Refuse neither or both of what A can be compared with, and what goes with the other one."""
+    if (b is None) == (max_error is None):
+        got = "neither" if b is None else "both"
+        raise typer.BadParameter(f"B or --max-error is wanted to compare {a} with, got {got}")
+    for name, value in others.items():
+        if b is not None and value is not None:
+            raise typer.BadParameter(f"{_flag(name)} goes with --max-error, in place of B")
+
+
+def _require_reports(outputs: dict[str, Path], *inputs: Path | None) -> None:
+    """Refuse outputs that can't be written, or would be written over an input or each other."""
+    from rtin.plotting import require_picture_path
+    from rtin.studies.comparison_report import require_path
+
+    taken = {path.resolve() for path in inputs if path is not None}
+    for name, out in outputs.items():
+        if out.resolve() in taken:
+            raise typer.BadParameter(f"--{name} must be a file of its own, got {out}")
+        taken.add(out.resolve())
+        with _values_are_usage():
+            if name == "picture":
+                require_picture_path(out)
+            else:
+                require_path(out, [".csv"] if name == "csv" else [".html", ".htm"])
+
+
+def _read_surface(
+    path: Path,
+    band: int,
+    window: tuple[int, int, int, int] | None,
+    encoding: _EncodingName | None,
+) -> TriangleMesh | Grid:
+    from rtin.io.meshes import is_mesh_path, read_mesh
+
+    if not is_mesh_path(path):
+        return _read_grid(path, band, window, encoding)
+    with _progress(f"reading {path}"):
+        return read_mesh(path)
+
+
+def _compared_pair(
+    paths: tuple[Path, Path],
+    method: Method,
+    read: _Reader,
+    outputs: dict[str, Path],
+    as_json: bool,
+) -> dict[str, Any]:
+    """Compare two files and write what is wanted; return the summary, notes last."""
+    from rtin.studies import comparison, comparison_pictures, comparison_report
+
+    _say_if_not_compiled()
+    a, b = (read(path) for path in paths)
+    pair = comparison.measure_pair(a, b, method, stage=_progress_bar)
+    names = (paths[0].name, paths[1].name)
+    _write_reports(outputs, {
+        "csv": lambda: comparison_report.csv_of_pair(pair),
+        "html": lambda: comparison_report.page_of_pair(pair, names, pair.notes),
+        "picture": lambda: comparison_pictures.write_pair(pair, outputs["picture"]),
+    })  # fmt: skip
+    counts = zip(paths, pair.counts(), strict=True)
+    files = [{"input": str(path), **found, "bytes": path.stat().st_size} for path, found in counts]
+    summary: dict[str, Any] = {"a": files[0], "b": files[1], "sampling": method.sampling}
+    if as_json:
+        summary |= comparison.sides_as_dicts(pair.distance)
+    else:
+        print(comparison.pair_as_text(pair), end="\n\n")
+    summary["hausdorff"] = pair.distance.hausdorff
+    if pair.certified is not None:
+        lower, upper, place = (getattr(pair.certified, x) for x in ("lower", "upper", "place"))
+        summary["certified"] = {"lower": lower, "upper": upper, "place": list(place)}
+    if pair.vertical is not None:
+        summary["vertical"] = _vertical_figures(pair.vertical)
+    return {**summary, "notes": pair.notes}
+
+
+def _vertical_figures(error: VerticalError) -> dict[str, Any]:
+    row, col = error.sample
+    figures = {"max": error.max, "rms": error.rms, "mean": error.mean, "row": row, "col": col}
+    return {**figures, "uncovered_samples": error.n_uncovered}
+
+
+def _compared_with_others(
+    path: Path,
+    asked: tuple[str, str, Literal["vertices", "error"]],
+    method: Method,
+    read: _Reader,
+    outputs: dict[str, Path],
+    as_json: bool,
+) -> dict[str, Any]:
+    """Compare simplified meshes and write what is wanted; return the summary, notes last."""
+    from rtin.grid import Grid
+    from rtin.io.meshes import is_mesh_path
+    from rtin.studies import comparison, comparison_pictures, comparison_report
+
+    if is_mesh_path(path):
+        raise typer.BadParameter(f"--max-error wants a raster to simplify, got the mesh {path}")
+    with _values_are_usage():
+        tolerances = comparison.tolerances_in(asked[0])
+        names = comparison.names_in(asked[1])
+    _say_if_not_compiled()
+    grid = read(path)
+    assert isinstance(grid, Grid)
+    found = comparison.measure(
+        grid, tolerances, names, match=asked[2], method=method, stage=_progress_bar
+    )
+    notes = [*found.notes, *_warnings_about(grid)]
+    _write_reports(outputs, {
+        "csv": lambda: comparison_report.csv_of_comparison(found),
+        "html": lambda: comparison_report.page_of_comparison(found, path.name, notes),
+        "picture": lambda: comparison_pictures.write_maps(found, outputs["picture"]),
+    })  # fmt: skip
+    summary: dict[str, Any] = {"input": str(path), "samples": grid.n_samples, "match": found.match}
+    if as_json:
+        summary["rows"] = [row.as_dict() for row in found.rows]
+    else:
+        print(comparison.as_text(found), end="\n\n")
+    return {**summary, "notes": notes}
+
+
+def _write_reports(outputs: dict[str, Path], make: dict[str, Callable[[], bytes | None]]) -> None:
+    """Write what is wanted; what gives no bytes writes for itself."""
+    from rtin._atomic import write_bytes
+
+    for name, out in outputs.items():
+        with _progress(f"writing {out}"):
+            made = make[name]()
+            if made is not None:
+                write_bytes(out, made)
+
+
 # --- options ------------------------------------------------------------------------------------
 
 
@@ -770,12 +1010,20 @@ def _progress(what: str) -> Iterator[None]:
 
     On a terminal a spinner shows that it still does.
     """
-    with ExitStack() as shown:
-        timer = threading.Timer(_QUIET_SECONDS, _show, [f"{what} …", shown])
+    with _progress_bar(what):
+        yield
+
+
+@contextmanager
+def _progress_bar(what: str) -> Iterator[Callable[[float], None]]:
+    """Do what ``_progress`` does; say too what share is done, when told."""
+    with ExitStack() as stack:
+        shown = _Shown(what, stack)
+        timer = threading.Timer(_QUIET_SECONDS, shown.begin)
         timer.daemon = True
         timer.start()
         try:
-            yield
+            yield shown.tell
         finally:
             timer.cancel()
             timer.join()
@@ -783,17 +1031,42 @@ def _progress(what: str) -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def _show(message: str, shown: ExitStack) -> None:
-    if not sys.stderr.isatty():
-        _say(message)
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+class _Shown:
+    """What is seen of work that goes on: a spinner on a terminal, else a line now and then."""
 
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    progress = Progress(*columns, console=Console(stderr=True), transient=True)
-    shown.enter_context(progress)
-    progress.add_task(f"rtin: {message}", total=None)
+    def __init__(self, what: str, stack: ExitStack) -> None:
+        self._what, self._stack = what, stack
+        self._update: Callable[[float], None] | None = None
+        self._said = math.inf
+
+    def begin(self) -> None:
+        if not sys.stderr.isatty():
+            _say(f"{self._what} …")
+            self._said = time.monotonic()
+            return
+        from rich.console import Console
+        from rich.progress import (
+            Progress,
+            SpinnerColumn,
+            TaskProgressColumn,
+            TextColumn,
+            TimeElapsedColumn,
+        )
+
+        progress = Progress(
+            SpinnerColumn(), TextColumn("{task.description}"), TaskProgressColumn(),
+            TimeElapsedColumn(), console=Console(stderr=True), transient=True,
+        )  # fmt: skip
+        self._stack.enter_context(progress)
+        task = progress.add_task(f"rtin: {self._what} …", total=None)
+        self._update = lambda share: progress.update(task, total=1.0, completed=share)
+
+    def tell(self, share: float) -> None:
+        if self._update is not None:
+            self._update(share)
+        elif time.monotonic() - self._said > _SECONDS_BETWEEN_LINES:
+            self._said = time.monotonic()
+            _say(f"{self._what}: {100 * share:.0f} %")
 
 
 @contextmanager

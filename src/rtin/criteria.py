@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -158,14 +159,26 @@ def members_by_band(
     places: NDArray[np.float64], triangles: NDArray[np.int32], n_rows: int
 ) -> list[tuple[int, int, NDArray[np.int32]]]:
     """Return bands of rows: the first, the one after the last, and the triangles that reach in."""
-    from rtin._kernels.criteria import triangles_by_band
+    from rtin._kernels.criteria import count_by_band, fill_by_band
 
     rows = _parallel.row_bands(n_rows)
     band_of_row = np.repeat(np.arange(len(rows)), [end - first for first, end in rows])
-    members, starts = triangles_by_band(places, triangles, band_of_row, len(rows))
+    shares = _parallel.row_bands(len(triangles))
+    common = [(places, triangles, *share, band_of_row) for share in shares]
+    counts = np.zeros((len(shares), len(rows)), np.int64)
+    _parallel.run(
+        count_by_band, [(*task, count) for task, count in zip(common, counts, strict=True)]
+    )
+    # Band after band, and in each share after share: the order of the triangles.
+    ends = np.cumsum(counts.T).reshape(counts.T.shape).T
+    starts = ends - counts
+    members = np.empty(counts.sum(), np.int32)
+    first_of_band = [*starts[0].tolist(), len(members)]
+    tasks = [(*task, start, members) for task, start in zip(common, starts, strict=True)]
+    _parallel.run(fill_by_band, tasks)
     return [
         (*band, members[start:stop])
-        for band, start, stop in zip(rows, starts, starts[1:], strict=False)
+        for band, (start, stop) in zip(rows, pairwise(first_of_band), strict=True)
     ]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
+from rtin import _parallel
 from rtin._crs import as_crs
 from rtin._raster import NORTH_UP, moved, row_chunks, scaled
 
@@ -126,19 +127,15 @@ class Grid:
         Points closer than a millionth of a cell to a sample's place are taken to be at it. Raises
         ValueError for an array of another shape.
         """
-        points = np.asarray(xy, np.float64)
+        from rtin._kernels.grid import fill_places
+
+        points = np.asarray(xy, np.float64, order="C")
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"points must have shape (n, 2), got {points.shape}")
-        a, b, x0, d, e, y0 = tuple(self.transform)[:6]
-        # From the raster's own origin, so that large coordinates don't cost digits.
-        x, y = points[:, 0] - x0, points[:, 1] - y0
-        determinant = a * e - b * d
-        places = np.empty((len(x), 2))
-        with np.errstate(invalid="ignore", over="ignore"):  # a point may be anywhere, or nowhere
-            places[:, 0] = (a * y - d * x) / determinant
-            places[:, 1] = (e * x - b * y) / determinant
-            nearest = np.rint(places)
-            return np.where(np.abs(places - nearest) < _SNAP, nearest, places)
+        transform, places = np.array(tuple(self.transform)[:6]), np.empty(points.shape)
+        bands = _parallel.row_bands(len(points))
+        _parallel.run(fill_places, [(points, transform, _SNAP, *band, places) for band in bands])
+        return places
 
     def heights_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the height at each point of the world: exact at samples, bilinear between them.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
 
 from rtin import _tint
@@ -20,8 +21,9 @@ from rtin.mesh import TriangleMesh, require_mesh
 if TYPE_CHECKING:
     import pyproj
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
-__all__ = ["plot", "require_picture_path", "save_picture"]
+__all__ = ["plot", "require_picture_path", "save_picture", "show_at_its_place"]
 
 _Floats = NDArray[np.float64]
 
@@ -174,26 +176,32 @@ def _aspect(mesh: TriangleMesh) -> float:
 
 
 def _draw_grid(ax: Axes, grid: Grid, x_to_y: float) -> None:
-    from matplotlib.transforms import Affine2D
-
     step = -(-max(grid.shape) // _MOST_PIXELS)
     heights = grid.heights[::step, ::step].astype(np.float64)
     if min(heights.shape) < 2:
         return
-    a, b, c, d, e, f = tuple(grid.transform)[:6]
-    to_world = Affine2D(np.array([[a * step, b * step, c], [d * step, e * step, f], [0, 0, 1]]))
+    a, b, _, d, e, _ = tuple(grid.transform)[:6]
     by_row, by_col = np.gradient(heights)
     # dz/dcol = a dz/dx + d dz/dy and dz/drow = b dz/dx + e dz/dy, solved for the slopes.
     determinant = (a * e - b * d) * step
     slope_x = (e * by_col - d * by_row) / determinant
     slope_y = (a * by_row - b * by_col) / determinant / x_to_y
     colours = _relief(heights.ravel(), slope_x.ravel(), slope_y.ravel())
-    ax.imshow(
-        colours.reshape(*heights.shape, 4),
-        transform=to_world + ax.transData,
+    show_at_its_place(
+        ax, colours.reshape(*heights.shape, 4), grid.transform * Affine.scale(step),
         interpolation="bilinear" if step == 1 and heights.size < 250_000 else "auto",
-        zorder=0,
-    )
+    )  # fmt: skip
+
+
+def show_at_its_place(ax: Axes, values: NDArray[Any], place: Affine, **options: Any) -> AxesImage:  # noqa: ANN401
+    """Draw values, shape (rows, cols), as an image; ``place`` maps (col, row) to (x, y).
+
+    The limits of the axes stay as they are. Options are those of ``imshow``.
+    """
+    from matplotlib.transforms import Affine2D
+
+    to_world = Affine2D(np.array(place).reshape(3, 3))
+    return ax.imshow(values, transform=to_world + ax.transData, zorder=0, **options)
 
 
 def _fill_triangles(ax: Axes, mesh: TriangleMesh, x_to_y: float) -> None:

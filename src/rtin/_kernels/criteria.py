@@ -112,26 +112,24 @@ def rows_covered(places, triangles, triangle, n_rows):
 
 
 @jit
-def triangles_by_band(places, triangles, band_of_row, n_bands):
-    """Triangles that reach into each band of rows, and where each band's list starts."""
-    n_rows = band_of_row.size
-    starts = np.zeros(n_bands + 1, np.int64)
-    for triangle in range(triangles.shape[0]):
-        first, last = rows_covered(places, triangles, triangle, n_rows)
-        if first <= last:
-            for band in range(band_of_row[first], band_of_row[last] + 1):
-                starts[band + 1] += 1
-    for band in range(n_bands):
-        starts[band + 1] += starts[band]
-    ends = starts[:-1].copy()
-    members = np.empty(starts[n_bands], np.int32)
-    for triangle in range(triangles.shape[0]):
-        first, last = rows_covered(places, triangles, triangle, n_rows)
-        if first <= last:
-            for band in range(band_of_row[first], band_of_row[last] + 1):
+def count_by_band(places, triangles, first, end, band_of_row, counts):
+    """Write how many of some triangles reach into each band of rows."""
+    for triangle in range(first, end):
+        top, bottom = rows_covered(places, triangles, triangle, band_of_row.size)
+        if top <= bottom:
+            for band in range(band_of_row[top], band_of_row[bottom] + 1):
+                counts[band] += 1
+
+
+@jit
+def fill_by_band(places, triangles, first, end, band_of_row, ends, members):
+    """List some of the triangles that reach into each band of rows, from where it ends so far."""
+    for triangle in range(first, end):
+        top, bottom = rows_covered(places, triangles, triangle, band_of_row.size)
+        if top <= bottom:
+            for band in range(band_of_row[top], band_of_row[bottom] + 1):
                 members[ends[band]] = triangle
                 ends[band] += 1
-    return members, starts
 
 
 @jit

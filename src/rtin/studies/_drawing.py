@@ -13,7 +13,7 @@ from rtin.mesh import TriangleMesh
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["GREY", "INK", "PALE", "draw_mesh", "require_places", "write_picture"]
+__all__ = ["GREY", "INK", "PALE", "draw_mesh", "picture", "require_places", "write_picture"]
 
 INK, GREY, PALE = "#1c2733", "#8a939c", "#c9d3dc"
 _DOTS_PER_INCH = 120
@@ -39,27 +39,34 @@ def require_places(folder: Path, names: Iterable[str]) -> None:
 
 
 def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Any], None]) -> None:
-    """Write what ``draw`` does to a figure of this size in inches, as PNG, whole or not at all.
+    """Write what ``draw`` does to a figure of this size in inches, whole or not at all.
 
-    pyplot is not touched.
+    The extension names the format; it must be one that matplotlib knows.
     """
+    write_bytes(path, picture(size, draw, path.suffix[1:].lower()))
+
+
+def picture(
+    size: tuple[float, float], draw: Callable[[Any], None], suffix: str = "png"
+) -> memoryview:
+    """Return what ``draw`` does to a figure of this size in inches; pyplot is not touched."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=_DOTS_PER_INCH)
-    write_bytes(path, _with_a_palette(picture))
+        drawn = io.BytesIO()
+        figure.savefig(drawn, format=suffix, dpi=_DOTS_PER_INCH)
+    return _with_a_palette(drawn) if suffix == "png" else drawn.getbuffer()
 
 
-def _with_a_palette(picture: io.BytesIO) -> memoryview:
+def _with_a_palette(drawn: io.BytesIO) -> memoryview:
     """Return a PNG in 128 colours: a third of the bytes, and no difference to see."""
     from PIL import Image
 
     smaller = io.BytesIO()
-    Image.open(picture).convert("RGB").quantize(128).save(smaller, "png", optimize=True)
+    Image.open(drawn).convert("RGB").quantize(128).save(smaller, "png", optimize=True)
     return smaller.getbuffer()
 
 
