@@ -782,6 +782,60 @@ def distances(points, surface):
     )
 
 
+# --- the overlay --------------------------------------------------------------------------------
+# A polygon is a list of exact points (x, y, height of one plane, height of the other, …).
+
+
+def clipped(polygon, side):
+    """The part of a convex polygon where a linear function of its points is zero or more."""
+    kept = []
+    for p, q in pairwise([*polygon, polygon[0]] if polygon else []):
+        at_p, at_q = side(p), side(q)
+        if at_p >= 0:
+            kept.append(p)
+        if at_p * at_q < 0:
+            kept.append(minus(p, minus(p, q), at_p / (at_p - at_q)))
+    return kept
+
+
+def on_plane(triangle, point):
+    a, b, c = triangle
+    area = cross(a, b, c)
+    parts = cross(point, b, c), cross(a, point, c), cross(a, b, point)
+    return sum(part * corner[2] for part, corner in zip(parts, triangle, strict=True)) / area
+
+
+def shared_polygon(one, other):
+    """What two triangles share, seen from above, each corner with its difference of heights."""
+    polygon = [p[:2] for p in one]
+    a, b, c = other if cross(*other) > 0 else other[::-1]
+    for tail, head in ((a, b), (b, c), (c, a)):
+        polygon = clipped(polygon, lambda p, tail=tail, head=head: cross(tail, head, p))
+    return [(*p, on_plane(other, p) - on_plane(one, p)) for p in polygon]
+
+
+def volume_and_area(polygon):
+    fan = [(polygon[0], p, q) for p, q in pairwise(polygon[1:])]
+    areas = [abs(cross(*triangle)) / 2 for triangle in fan]
+    heights = [sum(p[2] for p in triangle) / 3 for triangle in fan]
+    return dot(areas, heights), sum(areas)
+
+
+def terrain_difference(one, other):
+    """Area in common, fill, cut, largest and smallest difference of the second less the first."""
+    area, fill, cut, gaps = 0, 0, 0, []
+    flat = [[t for t in triangles_in_space(s) if cross(*t) != 0] for s in (one, other)]
+    for pair in product(*flat):
+        polygon = shared_polygon(*pair)
+        own = volume_and_area(polygon)[1] if len(polygon) > 2 else 0
+        if own > 0:
+            area, gaps = area + own, gaps + [p[2] for p in polygon]
+            above, below = (clipped(polygon, lambda p, s=s: s * p[2]) for s in (1, -1))
+            fill += volume_and_area(above)[0] if above else 0
+            cut -= volume_and_area(below)[0] if below else 0
+    return tuple(float(v) for v in (area, fill, cut, max(gaps, default=0), min(gaps, default=0)))
+
+
 # --- Metro's samples ----------------------------------------------------------------------------
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         write_mesh,
     )
     from rtin.mesh import TriangleMesh
+    from rtin.overlay import TerrainDifference, terrain_difference
     from rtin.plotting import plot
     from rtin.refinement import refine, refine_to
 
@@ -36,6 +37,7 @@ _MODULE_OF = {
     "Grid": "rtin.grid",
     "Propagation": "rtin.conformity",
     "SurfaceDistance": "rtin.distance",
+    "TerrainDifference": "rtin.overlay",
     "TriangleMesh": "rtin.mesh",
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
@@ -51,6 +53,7 @@ _MODULE_OF = {
     "read_mesh": "rtin.io",
     "refine": "rtin.refinement",
     "refine_to": "rtin.refinement",
+    "terrain_difference": "rtin.overlay",
     "to_skfem": "rtin.io",
     "to_triangulation": "rtin.io",
     "vertex_errors": "rtin.criteria",
@@ -65,6 +68,7 @@ __all__ = [
     "Grid",
     "Propagation",
     "SurfaceDistance",
+    "TerrainDifference",
     "TriangleMesh",
     "VerticalError",
     "__version__",
@@ -81,6 +85,7 @@ __all__ = [
     "read_mesh",
     "refine",
     "refine_to",
+    "terrain_difference",
     "to_skfem",
     "to_triangulation",
     "vertex_errors",

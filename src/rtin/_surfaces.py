@@ -96,6 +96,12 @@ class Surface:
     piece: Callable[[int], Piece]
     search: tuple[Any, ...]
 
+    @property
+    def highest(self) -> float:
+        """The largest height, up or down from zero."""
+        ranges, _ = self.search[2]
+        return float(np.abs(ranges[-1]).max())
+
     def nearest(self, points: _Floats) -> tuple[_Floats, _Numbers]:
         """Return each point's squared distance, and the number of a nearest triangle."""
         from rtin._kernels.distance import nearest_on_surface

@@ -12,22 +12,21 @@ Computer Graphics Forum 17(2), 1998.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from dataclasses import field as hidden
 from functools import cached_property
-from itertools import pairwise
-from threading import Lock
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtin import _parallel
 from rtin._number import as_number
+from rtin._pairs import Progress, Steps, shares_of, two_surfaces
 from rtin._sampling import SAMPLINGS, Sampling, SurfaceSamples, samples_of
-from rtin._surfaces import Local, Surface, local_system, numbers_in, surface_of
+from rtin._surfaces import Local, Surface
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 
@@ -42,13 +41,12 @@ __all__ = [
     "hausdorff",
 ]
 
-Progress: TypeAlias = Callable[[float], None]
 _Floats = NDArray[np.float64]
 
 _SAMPLES_PER_TRIANGLE = 10  # Metro's
-_SMALLEST_TOLERANCE = 1e-12  # of the surfaces' extent
+_SMALLEST_TOLERANCE = 1e-12  # of the largest coordinate: less is rounding
 _DEFAULT_TOLERANCE = 1e-3  # of the distance
-_MOST_TASKS = 16
+_LEAST_BY_DEFAULT = 1e-9  # of the largest coordinate
 
 
 class Field(NamedTuple):
@@ -247,12 +245,12 @@ def compare(
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
-    local, a, b = _both(mesh_a, mesh_b)
+    local, a, b = two_surfaces(mesh_a, mesh_b)
     wanted = _SAMPLES_PER_TRIANGLE * max(a.n_triangles, b.n_triangles)
     if samples is not None:
         wanted = _as_count("samples", samples)
     first_seed = _as_count("seed", seed, least=0)
-    done = _Progress(progress, a.n_pieces + b.n_pieces)
+    done = Steps(progress, a.n_pieces + b.n_pieces)
     ways = [
         _Way(samples_of(source, sampling, wanted, (first_seed,)), target, local)
         for source, target in [(a, b), (b, a)]
@@ -269,18 +267,23 @@ def hausdorff(
 ) -> CertifiedDistance:
     """Return bounds of the Hausdorff distance between two surfaces that hold.
 
-    By branch and bound. The distance to one fixed triangle is convex, so that no point of a
-    triangle is farther from it than the farthest corner; for each triangle of one surface, the
-    triangles of the other nearest to its corners are tried. Where that leaves the maximum open,
-    the triangle is bisected at its longest edge.
+    By branch and bound. The distance to one triangle is convex, so that no point of a convex
+    polygon is farther from it than the farthest corner. A triangle of one surface is divided into
+    polygons, each with a triangle of the other surface for itself: at the edges of those below and
+    above it where these are few (the overlay of both), at places that are equally far from two, or
+    not at all. Where the farthest corner leaves the maximum open, the triangle is bisected at its
+    longest edge. Any division gives a bound, so that overlaps, upright triangles, gaps and voids
+    cost time at most; so does a maximum along a whole curve that is equally far from triangles on
+    both sides, where parts get as small as the root of the tolerance.
 
     Parameters
     ----------
     mesh_a, mesh_b : TriangleMesh or Grid
         As for ``compare``.
     tolerance : float, optional
-        How far the bounds may be apart, in the unit of the heights; by default a thousandth of the
-        largest distance found at a vertex. Never less than 1e-12 of the surfaces' extent.
+        How far the bounds may be apart, in the unit of the heights. By default a thousandth of the
+        largest distance of a sample, or 1e-9 of the largest local coordinate if that is more. What
+        is less than 1e-12 of that coordinate, and so near to rounding, counts as that much.
     progress : callable, optional
         Gets the share that is done, from 0 to 1, now and then.
 
@@ -298,18 +301,21 @@ def hausdorff(
     wanted = None if tolerance is None else as_number("tolerance", tolerance)
     if wanted is not None and not wanted > 0.0:
         raise ValueError(f"tolerance must be above zero, in the heights' units, got {wanted}")
-    local, a, b = _both(mesh_a, mesh_b)
-    done = _Progress(progress, 2 * (a.n_pieces + b.n_pieces))
+    local, a, b = two_surfaces(mesh_a, mesh_b)
+    done = Steps(progress, 2 * (a.n_pieces + b.n_pieces))
     n_samples = 2 * max(a.n_triangles, b.n_triangles)
     ways = [
         _Way(samples_of(source, "similar", n_samples, (0,)), target, local)
         for source, target in [(a, b), (b, a)]
     ]
     reached = [_farthest_sample(way, done) for way in ways]
-    gap = _DEFAULT_TOLERANCE * max(lower for lower, _ in reached) if wanted is None else wanted
-    gap = max(gap, _SMALLEST_TOLERANCE * local.extent)
+    size = max(local.extent, a.highest, b.highest)
+    if wanted is None:
+        found = max(lower for lower, _ in reached)
+        wanted = max(_DEFAULT_TOLERANCE * found, _LEAST_BY_DEFAULT * size)
+    gap = max(wanted, _SMALLEST_TOLERANCE * size)
     return CertifiedDistance(
-        *(_bounds(way, *found, gap, done) for way, found in zip(ways, reached, strict=True))
+        *(_bounds(way, *start, gap, done) for way, start in zip(ways, reached, strict=True))
     )
 
 
@@ -364,20 +370,20 @@ class _Histogram:
         return np.asarray(np.sum(self._idle, axis=0))
 
 
-def _statistics(way: _Way, histogram: _Histogram, done: _Progress) -> list[_Statistics]:
-    shares = _shares(way.samples.surface.n_pieces)
+def _statistics(way: _Way, histogram: _Histogram, done: Steps) -> list[_Statistics]:
+    shares = shares_of(way.samples.surface.n_pieces)
     tasks = [(way, numbers, histogram, done) for numbers in shares]
     parts: list[_Statistics] = _parallel.run(_statistics_of_pieces, tasks)
     return parts
 
 
-def _farthest_sample(way: _Way, done: _Progress) -> tuple[float, _Floats]:
+def _farthest_sample(way: _Way, done: Steps) -> tuple[float, _Floats]:
     worst = max(_statistics(way, _Histogram(), done), key=lambda part: part.max)
     assert worst.place is not None, "each surface has a corner, and each corner is a sample"
     return worst.max, worst.place
 
 
-def _one_sided(way: _Way, done: _Progress) -> OneSided:
+def _one_sided(way: _Way, done: Steps) -> OneSided:
     histogram = _Histogram()
     parts = _statistics(way, histogram, done)
     worst = max(parts, key=lambda part: part.max)
@@ -400,7 +406,7 @@ def _one_sided(way: _Way, done: _Progress) -> OneSided:
 
 
 def _statistics_of_pieces(
-    way: _Way, numbers: range, histogram: _Histogram, done: _Progress
+    way: _Way, numbers: range, histogram: _Histogram, done: Steps
 ) -> _Statistics:
     """Return what the samples of some pieces say."""
     from rtin._kernels.sampling import summarise
@@ -430,13 +436,13 @@ def _middle_of_bin(number: int) -> float:
 # --- bounds -------------------------------------------------------------------------------------
 
 
-def _bounds(way: _Way, lower: float, place: _Floats, gap: float, done: _Progress) -> Bounds:
+def _bounds(way: _Way, lower: float, place: _Floats, gap: float, done: Steps) -> Bounds:
     """Return bounds of the largest distance, given a point and its distance.
 
     All pieces start from that: what they find does not depend on which of them is first.
     """
     source, target, local = way.samples.surface, way.target, way.local
-    shares = list(_shares(source.n_pieces))
+    shares = list(shares_of(source.n_pieces))
     tasks = [(source, target, numbers, lower, gap, done) for numbers in shares]
     upper = lower
     for part_lower, part_upper, part_place in _parallel.run(_bounds_of_pieces, tasks):
@@ -447,9 +453,9 @@ def _bounds(way: _Way, lower: float, place: _Floats, gap: float, done: _Progress
 
 
 def _bounds_of_pieces(
-    source: Surface, target: Surface, numbers: range, lower: float, gap: float, done: _Progress
+    source: Surface, target: Surface, numbers: range, lower: float, gap: float, done: Steps
 ) -> tuple[float, float, _Floats]:
-    from rtin._kernels.distance import bound_largest
+    from rtin._kernels.hausdorff import bound_largest
 
     upper, place = lower, np.full(3, np.nan)
     for number in numbers:
@@ -467,46 +473,7 @@ def _bounds_of_pieces(
     return lower, upper, place
 
 
-# --- the door, and progress ---------------------------------------------------------------------
-
-
-def _both(
-    mesh_a: TriangleMesh | Grid, mesh_b: TriangleMesh | Grid
-) -> tuple[Local, Surface, Surface]:
-    for name, given in (("mesh_a", mesh_a), ("mesh_b", mesh_b)):
-        _require_surface(name, given)
-    if None not in (mesh_a.crs, mesh_b.crs) and mesh_a.crs != mesh_b.crs:
-        raise ValueError(
-            f"surfaces must have the same CRS, got {_name_of(mesh_a)} and {_name_of(mesh_b)}; "
-            "reproject one of them first"
-        )
-    local = local_system(mesh_a, mesh_b)
-    a, b = surface_of(mesh_a, local), surface_of(mesh_b, local)
-    for name, surface in (("mesh_a", a), ("mesh_b", b)):
-        if surface.n_triangles == 0:
-            raise ValueError(
-                f"{name} must have triangles, got a grid without three neighbouring heights"
-            )
-    return local, a, b
-
-
-def _require_surface(name: str, surface: TriangleMesh | Grid) -> None:
-    if isinstance(surface, Grid):
-        return
-    if not isinstance(surface, TriangleMesh):
-        raise TypeError(f"{name} must be a TriangleMesh or a Grid, got {type(surface).__name__}")
-    if surface.n_triangles == 0:
-        raise ValueError(f"{name} must have triangles, got a mesh without any")
-    numbers = numbers_in(surface)
-    is_bad = ~np.isfinite(surface.vertices[numbers]).all(axis=1)
-    if is_bad.any():
-        bad = int(numbers[is_bad][0])
-        raise ValueError(f"{name} must have finite vertices, got {surface.vertices[bad]} at {bad}")
-
-
-def _name_of(surface: TriangleMesh | Grid) -> str:
-    assert surface.crs is not None
-    return surface.crs.to_string()[:40]
+# --- numbers and places --------------------------------------------------------------------------
 
 
 def _as_count(name: str, value: Any, least: int = 1) -> int:  # noqa: ANN401
@@ -520,23 +487,3 @@ def _as_count(name: str, value: Any, least: int = 1) -> int:  # noqa: ANN401
 def _place(point: _Floats, local: Local) -> tuple[float, float, float]:
     x, y, z = local.to_world(point[np.newaxis])[0].tolist()
     return x, y, z
-
-
-def _shares(n_pieces: int) -> Iterator[range]:
-    """Yield consecutive pieces' numbers: the same shares on any number of threads."""
-    n_shares = min(_MOST_TASKS, n_pieces)
-    for first, end in pairwise([n_pieces * i // n_shares for i in range(n_shares + 1)]):
-        yield range(first, end)
-
-
-class _Progress:
-    """Counts steps, from any thread, and tells what share of them is done."""
-
-    def __init__(self, tell: Progress | None, n_steps: int) -> None:
-        self._tell, self._n_steps, self._n_done, self._lock = tell, n_steps, 0, Lock()
-
-    def step(self) -> None:
-        if self._tell is not None:
-            with self._lock:
-                self._n_done += 1
-                self._tell(self._n_done / self._n_steps)

@@ -427,95 +427,45 @@ def nearest_on_surface(points, surface, frame, blocks, squares, nearest):
         squares[i], nearest[i] = nearest_to_point(point, surface, frame, blocks, waiting, bounds)
 
 
-# --- bounds of the largest distance -------------------------------------------------------------
+# --- by number ----------------------------------------------------------------------------------
 
 
 @jit
-def square_to_number(px, py, pz, surface, frame, number):
-    """Squared distance from a point to the triangle of that number."""
+def corners_at(vertices, triangle):
+    """Nine coordinates of a triangle of vertices."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    return (
+        vertices[a, 0],
+        vertices[a, 1],
+        vertices[a, 2],
+        vertices[b, 0],
+        vertices[b, 1],
+        vertices[b, 2],
+        vertices[c, 0],
+        vertices[c, 1],
+        vertices[c, 2],
+    )
+
+
+@jit
+def corners_of(surface, frame, number):
+    """Nine coordinates of the triangle of that number; some are NaN at a void of a grid."""
     heights, _, _, vertices, triangles = surface
     if heights.size == 0:
-        return square_to(px, py, pz, vertices, triangles, number, np.inf)
+        return corners_at(vertices, triangles[number])
     row, col = divmod(number >> 1, heights.shape[1] - 1)
-    return cell_square(px, py, pz, heights, frame, row, col, number & 1, np.inf)
-
-
-@jit
-def upper_square(part, nearest, surface, frame):
-    """No point of a triangle is farther from the surface than this, squared.
-
-    Of the triangles nearest to its corners, the one whose farthest corner is nearest: the distance
-    to it is convex.
-    """
-    least = np.inf
-    for candidate in range(3):
-        number, largest = nearest[candidate], 0.0
-        for corner in range(3):
-            square = part[9 + corner]
-            if nearest[corner] != number:
-                x, y, z = part[3 * corner], part[3 * corner + 1], part[3 * corner + 2]
-                square = square_to_number(x, y, z, surface, frame, number)
-            largest = max(largest, square)
-        least = min(least, largest)
-    return least
-
-
-@jit
-def bisect_part(part, nearest, other, other_nearest):
-    """Bisect a triangle at its longest edge, in place and into another row.
-
-    Returns which corner of each half is the midpoint, whose distance is not known yet.
-    """
-    longest, tail = -1.0, 0
-    for side in range(3):
-        end = (side + 1) % 3
-        x, y = part[3 * side] - part[3 * end], part[3 * side + 1] - part[3 * end + 1]
-        z = part[3 * side + 2] - part[3 * end + 2]
-        square = x * x + y * y + z * z
-        if square > longest:
-            longest, tail = square, side
-    head = (tail + 1) % 3
-    for i in range(12):
-        other[i] = part[i]
-    for i in range(3):
-        other_nearest[i] = nearest[i]
-        middle = 0.5 * (part[3 * tail + i] + part[3 * head + i])
-        part[3 * tail + i] = other[3 * head + i] = middle
-    return tail, head
-
-
-@jit
-def bound_largest(vertices, triangles, squares, numbers, surface, frame, blocks, lower, tolerance):
-    """Bounds of the largest distance from some triangles to a surface, at most so far apart.
-
-    ``squares`` and ``numbers`` hold what is nearest to each vertex. Where no point is farther than
-    ``lower``, that is the lower bound. Returns both bounds, and the place of the lower one.
-    """
-    parts, nearest = np.empty((256, 12)), np.empty((256, 3), np.int64)
-    waiting, bounds = np.empty(128, np.int64), np.empty(128)
-    upper, place = lower, (np.nan, np.nan, np.nan)
-    for triangle in triangles:
-        for corner in range(3):
-            vertex = triangle[corner]
-            for axis in range(3):
-                parts[0, 3 * corner + axis] = vertices[vertex, axis]
-            parts[0, 9 + corner], nearest[0, corner] = squares[vertex], numbers[vertex]
-            if squares[vertex] > lower * lower:
-                lower = np.sqrt(squares[vertex])
-                place = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
-        n_parts = 1
-        while n_parts > 0:
-            last = n_parts - 1
-            farthest = np.sqrt(upper_square(parts[last], nearest[last], surface, frame))
-            if farthest <= lower + tolerance or n_parts == parts.shape[0]:
-                upper, n_parts = max(upper, farthest), last
-                continue
-            tail, head = bisect_part(parts[last], nearest[last], parts[n_parts], nearest[n_parts])
-            point = parts[last, 3 * tail], parts[last, 3 * tail + 1], parts[last, 3 * tail + 2]
-            square, number = nearest_to_point(point, surface, frame, blocks, waiting, bounds)
-            parts[last, 9 + tail] = parts[n_parts, 9 + head] = square
-            nearest[last, tail] = nearest[n_parts, head] = number
-            if square > lower * lower:
-                lower, place = np.sqrt(square), point
-            n_parts += 1
-    return lower, max(lower, upper), place
+    half = number & 1
+    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
+    side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
+    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
+    return (
+        x0 + ux * corner_col + vx * corner_row,
+        y0 + uy * corner_col + vy * corner_row,
+        np.float64(heights[corner_row, corner_col]),
+        x0 + ux * side_col + vx * corner_row,
+        y0 + uy * side_col + vy * corner_row,
+        np.float64(heights[corner_row, side_col]),
+        x0 + ux * corner_col + vx * end_row,
+        y0 + uy * corner_col + vy * end_row,
+        np.float64(heights[end_row, corner_col]),
+    )
