@@ -9,7 +9,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-__all__ = ["NORTH_UP", "moved", "row_chunks", "scaled"]
+__all__ = ["NORTH_UP", "moved", "row_chunks", "scaled", "widened"]
 
 CHUNK_SAMPLES = 1 << 18
 NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
@@ -26,6 +26,12 @@ def moved(transform: Affine, rows: float, cols: float) -> Affine:
     # Affine's own product is * before version 3 and @ since.
     a, b, x, d, e, y = transform[:6]
     return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
+
+
+def widened(transform: Affine, step: int) -> Affine:
+    """Return the transform of a row and a column in every ``step`` of the given one."""
+    a, b, x, d, e, y = transform[:6]
+    return Affine(a * step, b * step, x, d * step, e * step, y)
 
 
 def scaled(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtin import _tint
 from rtin._atomic import require_place, write_bytes
 from rtin._crs import metres_per_unit
+from rtin._raster import widened
 from rtin.criteria import vertical_error
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh, require_mesh
@@ -188,7 +189,7 @@ def _draw_grid(ax: Axes, grid: Grid, x_to_y: float) -> None:
     slope_y = (a * by_row - b * by_col) / determinant / x_to_y
     colours = _relief(heights.ravel(), slope_x.ravel(), slope_y.ravel())
     show_at_its_place(
-        ax, colours.reshape(*heights.shape, 4), grid.transform * Affine.scale(step),
+        ax, colours.reshape(*heights.shape, 4), widened(grid.transform, step),
         interpolation="bilinear" if step == 1 and heights.size < 250_000 else "auto",
     )  # fmt: skip
 

@@ -10,13 +10,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from rtin._pairs import Progress
 from rtin._surfaces import bounds_of, local_system, surface_of
 from rtin.coarsening import coarsen
 from rtin.criteria import VerticalError, vertical_error
 from rtin.distance import (
     CertifiedDistance,
     OneSided,
-    Progress,
     Sampling,
     SurfaceDistance,
     compare,

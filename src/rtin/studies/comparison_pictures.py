@@ -11,6 +11,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin._raster import moved, widened
 from rtin._surfaces import bounds_of, local_system
 from rtin.criteria import VerticalError, vertical_error
 from rtin.distance import OneSided, compare
@@ -116,7 +117,7 @@ def _draw_vertical(figure: Figure, pair: Pair) -> None:
     assert isinstance(grid, Grid)
     ax = figure.add_subplot()
     image = _draw_error(ax, error, grid, error.max)
-    x, y = grid.transform * (error.sample[1], error.sample[0])
+    _, _, x, _, _, y = tuple(moved(grid.transform, *error.sample))[:6]
     ax.plot(x, y, "+", color=INK, ms=10.0, label=f"largest: {error.max:.4g}")
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0))
     ax.set_title(f"mesh minus raster: rms {error.rms:.4g}, mean {error.mean:.4g}")
@@ -156,7 +157,8 @@ def _largest_by_place(
     largest = np.full(shape[::-1], -1.0)
     np.maximum.at(largest, (row, col), field.distances)
     largest[largest < 0.0] = np.nan
-    place = Affine.translation(*(low + 0.5 * cell)) * Affine.scale(*cell)
+    (width, height), (x, y) = cell.tolist(), (low + 0.5 * cell).tolist()
+    place = Affine(width, 0.0, x, 0.0, height, y)
     return largest, place
 
 
@@ -201,7 +203,8 @@ def _limit_at(max_error: float) -> float:
 
 def _draw_error(ax: Axes, error: VerticalError, grid: Grid, limit: float) -> AxesImage:
     step = -(-max(grid.shape) // _MOST_PIXELS)
-    place = grid.transform * Affine.translation(*2 * [(step - 1) / 2]) * Affine.scale(step)
+    middle = (step - 1) / 2
+    place = widened(moved(grid.transform, middle, middle), step)
     limit = limit or 1.0
     image = show_at_its_place(
         ax, _largest_of_blocks(error.field, step), place, cmap=_map_from("RdBu_r"),
