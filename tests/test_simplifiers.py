@@ -242,6 +242,14 @@ def test_rounding_to_32_bits_uncovers_no_border():
     assert rtin.vertical_error(back, grid).n_uncovered == 0
 
 
+def test_triangles_of_decimate_pro_that_name_no_vertex_are_left_out():
+    heights = np.random.default_rng(0).normal(size=(17, 17)).cumsum(axis=0).cumsum(axis=1)
+    grid = rtin.Grid(heights, Affine(1e5, 0, 0, 0, -1e5, 0))  # flat enough to confuse VTK
+    mesh = made(grid, "decimate-pro", max_vertices=4).mesh
+    require_sound(mesh, grid)
+    assert mesh.n_vertices <= 4
+
+
 # --- angle merging ------------------------------------------------------------------------------
 
 

@@ -434,9 +434,7 @@ def _vtk_quadric(grid: Grid) -> dict[_Knob, _Run]:
     surface = _poly_data(solid)
 
     def run(count: int) -> _Surface:
-        made = surface.decimate(1.0 - count / len(solid.triangles))
-        vertices = solid.placement.to_world(np.asarray(made.points, np.float64))
-        return _Surface(_unrounded(grid, vertices), made.regular_faces)
+        return _from_vtk(grid, solid, surface.decimate(1.0 - count / len(solid.triangles)))
 
     return {"max_triangles": solid.unless_all(run)}
 
@@ -451,8 +449,7 @@ def _decimate_pro(grid: Grid) -> dict[_Knob, _Run]:
             1.0 - count / len(solid.triangles),
             feature_angle=180.0, splitting=False, preserve_topology=True,
         )  # fmt: skip
-        vertices = solid.placement.to_world(np.asarray(made.points, np.float64))
-        return _Surface(_unrounded(grid, vertices), made.regular_faces)
+        return _from_vtk(grid, solid, made)
 
     return {"max_triangles": solid.unless_all(run)}
 
@@ -586,6 +583,13 @@ class _Solid(NamedTuple):
 def _poly_data(solid: _Solid) -> Any:  # noqa: ANN401
     pyvista = _library("pyvista", "pyvista")
     return pyvista.PolyData.from_regular_faces(solid.points, solid.triangles)
+
+
+def _from_vtk(grid: Grid, solid: _Solid, made: Any) -> _Surface:  # noqa: ANN401
+    """Return what VTK made of a grid; on nearly flat terrain some triangles lack a corner."""
+    vertices = solid.placement.to_world(np.asarray(made.points, np.float64))
+    triangles = made.regular_faces
+    return _Surface(_unrounded(grid, vertices), triangles[(triangles >= 0).all(axis=1)])
 
 
 def _unrounded(grid: Grid, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
