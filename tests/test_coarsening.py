@@ -680,6 +680,16 @@ WRONG = {
         TypeError,
         "max_triangles .* whole .* got True",
     ),
+    "heights for a word": (
+        {"max_error": 1, "heights": np.zeros(4)},
+        ValueError,
+        r"heights must be 'sampled' or 'fitted', got array\(",
+    ),
+    "list for a word": (
+        {"max_error": 1, "diagonals": np.array(["best", "best"])},
+        ValueError,
+        r"diagonals must be 'lattice' or 'best', got array\(",
+    ),
     "small budget": (
         {"max_triangles": 1},
         ValueError,

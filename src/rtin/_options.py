@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from rtin._number import as_number
 from rtin.grid import Grid
 
-__all__ = ["as_height", "as_tolerance_map", "the_only_option"]
+__all__ = ["as_height", "as_tolerance_map", "require_word", "the_only_option"]
 
 
 def the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
@@ -20,6 +21,12 @@ def the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
         names = ", ".join(options)
         raise ValueError(f"give exactly one of {names}; got {', '.join(given) or 'none of them'}")
     return next(iter(given.items()))
+
+
+def require_word(name: str, value: Any, words: Iterable[str]) -> None:  # noqa: ANN401
+    """Raise ValueError where an option is none of the words that it may be."""
+    if not isinstance(value, str) or value not in words:
+        raise ValueError(f"{name} must be {' or '.join(map(repr, words))}, got {value!r}")
 
 
 def as_height(name: str, value: Any) -> float:  # noqa: ANN401

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel, squared_error
-from rtin._options import as_height, as_tolerance_map, the_only_option
+from rtin._options import as_height, as_tolerance_map, require_word, the_only_option
 from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
@@ -146,6 +146,9 @@ def coarsen(
         If the lattice does not fit in memory.
     """
     require_grid(grid)
+    require_word("norm", norm, _OPTIONS_OF)
+    require_word("diagonals", diagonals, ("lattice", "best"))
+    require_word("heights", heights, ("sampled", "fitted"))
     name, value = _asked(
         norm,
         max_error=max_error,
@@ -155,10 +158,9 @@ def coarsen(
         removable=removable,
         weight=weight,
     )
-    if heights not in ("sampled", "fitted"):
-        raise ValueError(f"heights must be 'sampled' or 'fitted', got {heights!r}")
     required = None if keep is None else _as_mask(grid, "keep", keep)
-    swapped, tolerance = _no_swaps(grid, diagonals), _NO_LIMIT
+    swapped = _lattice_bytes(grid) if diagonals == "best" else None
+    tolerance = _NO_LIMIT
     if name == "max_error":
         tolerance = _as_tolerance(grid, value)
         kept = _least_mesh(grid, tolerance, required, swapped)
@@ -361,13 +363,6 @@ def _keep_marked(grid: Grid, kept: _Kept, mask: _Mask | None) -> None:
 # --- diagonals ----------------------------------------------------------------------------------
 
 
-def _no_swaps(grid: Grid, diagonals: str) -> _Swapped:
-    """Return a byte for each sample, where squares may change their diagonals; else None."""
-    if diagonals not in ("lattice", "best"):
-        raise ValueError(f"diagonals must be 'lattice' or 'best', got {diagonals!r}")
-    return None if diagonals == "lattice" else _lattice_bytes(grid)
-
-
 def _choose_diagonals(grid: Grid, kept: _Kept, swapped: _Swapped, tolerance: _Tolerance) -> None:
     """Swap the squares that fit on both diagonals and have less squared error on the other one."""
     from rtin._kernels.diagonals import choose_diagonals
@@ -530,8 +525,6 @@ def _shared_out(work: _Items, bands: list[tuple[int, int]]) -> _Shares:
 
 def _asked(norm: str, **options: Any) -> tuple[str, Any]:  # noqa: ANN401
     """Return name and value of the one option given, of those that go with the norm."""
-    if not isinstance(norm, str) or norm not in _OPTIONS_OF:
-        raise ValueError(f"norm must be 'max' or 'rms', got {norm!r}")
     fitting = {name: options.pop(name) for name in _OPTIONS_OF[norm]}
     foreign = [name for name, value in options.items() if value is not None]
     if foreign:
