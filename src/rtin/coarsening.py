@@ -100,10 +100,11 @@ def coarsen(
         height, and those of which no finest triangle is whole, can't be kept.
     norm : {"max", "rms"}
         What a budget makes small: the largest error, or the root of the mean square. With "rms" it
-        gets the largest mesh that fits of those that are best for some ``weight``: none with as
-        many vertices has a smaller rms. There is one for almost every number of vertices on real
-        terrain; what room is left is filled greedily, by the largest gain per vertex, and that is
-        *not* guaranteed to be the best. Nothing is promised on the largest error.
+        gets the largest mesh that fits of those that are best for some ``weight``: no RTIN mesh of
+        as many vertices, sampled and on the lattice's diagonals, has a smaller rms. There is one
+        for almost every number of vertices on real terrain; what room is left is filled greedily,
+        by the largest gain per vertex, and that is *not* guaranteed to be the best. Nothing is
+        promised on the largest error.
     diagonals : {"lattice", "best"}, optional
         Where two triangles share their hypotenuse they make a square, upright or rotated by 45
         degrees, and may share its other diagonal instead. "lattice" never does that. "best" does it
@@ -116,8 +117,9 @@ def coarsen(
 
         Of the diagonals within the tolerance (both, where there is none) each square then has the
         one with the smaller sum of squared errors at its samples, the lattice's where they are
-        equal. *Not promised*: a smaller largest error than with "lattice" where no ``max_error`` is
-        given, and the least squared error over all meshes of as many vertices.
+        equal. *Not promised*: a smaller largest error than with "lattice" for ``threshold``,
+        ``removable`` and ``norm="rms"``, and the least squared error over all meshes of as many
+        vertices. On real terrain a budget with ``norm="max"`` often has the smaller rms as well.
     heights : {"sampled", "fitted"}
         Where the vertices chosen lie. Sampled: at the raster's heights, unchanged. Fitted: moved
         up or down for the smallest sum of squared errors over all samples, as ``fit_heights``

@@ -62,8 +62,8 @@ def fit_heights(
         sample nearby) stay where they are; vertices at a covered sample never are among them.
         With ``max_error`` *guaranteed* within it, as ``vertical_error`` measures, at every sample
         that was so before; *not guaranteed* to be the least squares under this condition, only
-        close to it. The sum of squares is never larger than before. The same bytes on any number
-        of threads.
+        close to it. The sum of squares is never larger than before, up to its rounding. The same
+        bytes on any number of threads.
 
     Raises
     ------
