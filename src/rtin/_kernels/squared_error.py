@@ -21,7 +21,7 @@ import heapq
 import numpy as np
 
 from rtin._kernels._jit import jit
-from rtin._kernels.coarsening import keep_with_closure, triangles_gained, with_room
+from rtin._kernels.coarsening import keep_with_closure, triangles_gained, undo, with_room
 from rtin._kernels.lattice import (
     VERTEX,
     apexes,
@@ -391,14 +391,6 @@ def keep_all(kept, items):
 
 
 @jit
-def drop_all(kept, items):
-    """Undo ``keep_all``."""
-    for item in items:
-        row, col, _ = unpacked(item)
-        kept[row, col] = 0
-
-
-@jit
 def append_neighbours(heads, incoming, part, n_part, is_listed, i):
     """Append the vertices at the other ends of a vertex's arcs, those not listed yet."""
     for arc in range(2 * i, 2 * i + 2):
@@ -445,7 +437,7 @@ def gain_with_closure(gains, kept, item, stack, added):
     """Mean gain of a vertex and the ancestors that it needs; these, of which there are so many."""
     stack[0] = item
     added, n_added = keep_with_closure(kept, stack, 1, added, 0)
-    drop_all(kept, added[:n_added])
+    undo(kept, added[:n_added])
     return gains_of(added[:n_added], gains).sum() / n_added, added, n_added
 
 
