@@ -366,8 +366,7 @@ def measure(
         f"{name} for {', '.join(f'{value:g}' for value in at)}: {reason}"
         for (name, reason), at in passed_over.items()
     ]
-    complaints = [line for row in rows for line in _complaints_about(row)]
-    return Comparison(grid, match, rows, notes + complaints)
+    return Comparison(grid, match, rows, [*notes, *_complaints_about(rows)])
 
 
 def _attempt(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified | str:
@@ -406,13 +405,16 @@ def _row(
     return Row(max_error, compared(grid, name, made), distance.hausdorff, bounds, made.mesh)
 
 
-def _complaints_about(row: Row) -> Iterator[str]:
-    who, figures = f"{row.name} for {row.max_error:g}", row.figures
-    if figures.n_uncovered:
-        yield f"{who} leaves {figures.n_uncovered} samples uncovered, which enter no figure"
-    if figures.faults:
-        more = f", and {len(figures.faults) - 1} more" if len(figures.faults) > 1 else ""
-        yield f"{who} is no conforming mesh: {figures.faults[0]}{more}"
+def _complaints_about(rows: Sequence[Row]) -> Iterator[str]:
+    for name in dict.fromkeys(row.name for row in rows):
+        figures = [(row.max_error, row.figures) for row in rows if row.name == name]
+        uncovered = [f"{one.n_uncovered} for {at:g}" for at, one in figures if one.n_uncovered]
+        if uncovered:
+            yield f"{name} leaves samples uncovered, which enter no figure: {', '.join(uncovered)}"
+        faulty = [(at, one.faults) for at, one in figures if one.faults]
+        if faulty:
+            at = ", ".join(f"{value:g}" for value, _ in faulty)
+            yield f"{name} makes no conforming mesh for {at}; the first fault: {faulty[0][1][0]}"
 
 
 # --- tables -------------------------------------------------------------------------------------

@@ -36,6 +36,7 @@ _MOST_PIXELS = 600  # a side of a map
 _PIXELS_OF_SAMPLES = 300
 _SAMPLES_PER_PIXEL = 8
 _DRAWN_TRIANGLES = 1200  # of our mesh: more would be black
+_SHADES = 20  # few, so that values can be read off, and noise compresses
 _BESIDE = "#e4e4e4"  # where there is no sample or no surface
 _BEYOND = {"under": "#00f0ff", "over": "#ffd500"}  # blue and red get no darker
 _COLOURS = (
@@ -172,8 +173,8 @@ def _maps(comparison: Comparison, tolerances: Sequence[float]) -> _Figure:
     n_cols = min(_MOST_COLUMNS, widest) if len(tolerances) == 1 else widest
     draw = partial(_draw_maps, comparison=comparison, tolerances=tolerances, n_cols=n_cols)
     n_lines = -(-len(rows) // n_cols) if len(tolerances) == 1 else len(tolerances)
-    panel = _PANEL * _height(comparison.grid) + 0.5
-    return _Figure((_PANEL * n_cols + 0.9, panel * n_lines), draw)
+    panel = _PANEL * _height(comparison.grid) + 0.6
+    return _Figure((_PANEL * n_cols + 0.8, panel * n_lines), draw)
 
 
 def _draw_maps(
@@ -227,7 +228,7 @@ def _largest_of_blocks(values: _Floats, step: int) -> _Floats:
 def _map_from(name: str) -> Any:  # noqa: ANN401
     from matplotlib import colormaps
 
-    return colormaps[name].with_extremes(bad=_BESIDE, **_BEYOND)
+    return colormaps[name].resampled(_SHADES).with_extremes(bad=_BESIDE, **_BEYOND)
 
 
 def _frame(ax: Axes, *surfaces: TriangleMesh | Grid) -> None:
