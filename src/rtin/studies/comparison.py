@@ -28,7 +28,6 @@ from rtin.simplifiers import (
     SIMPLIFIERS,
     Compared,
     NotInstalled,
-    NotSuited,
     Simplified,
     compared,
     simplified,
@@ -359,9 +358,12 @@ def measure(
             if isinstance(made, str):
                 passed_over.setdefault((name, made), []).append(max_error)
                 continue
-            rows.append(_row(grid, name, made, max_error, (method or Method(), stage)))
+            mesh, figures = made
+            distance, certified = _distances(grid, mesh, method or Method(), stage)
+            bounds = None if certified is None else (certified.lower, certified.upper)
+            rows.append(Row(max_error, figures, distance.hausdorff, bounds, mesh))
             if name == OURS and match == "vertices":
-                asked = {"max_vertices": made.mesh.n_vertices}
+                asked = {"max_vertices": mesh.n_vertices}
     notes = [
         f"{name} for {', '.join(f'{value:g}' for value in at)}: {reason}"
         for (name, reason), at in passed_over.items()
@@ -369,19 +371,17 @@ def measure(
     return Comparison(grid, match, rows, [*notes, *_complaints_about(rows)])
 
 
-def _attempt(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified | str:
-    """Return what a simplifier makes, or why it can't."""
+def _attempt(grid: Grid, name: str, asked: dict[str, Any]) -> tuple[TriangleMesh, Compared] | str:
+    """Return what a simplifier makes and how good it is, or why it can't."""
     try:
         made = _made(grid, name, asked)
-        if name != OURS:
-            vertical_error(made.mesh, grid)
+        return made.mesh, compared(grid, name, made)
     except NotInstalled as reason:
         return str(reason)
-    except ValueError as reason:
-        if name == OURS and not isinstance(reason, NotSuited):
+    except ValueError as reason:  # NotSuited, or a mesh that covers no sample
+        if name == OURS:
             raise
         return str(reason)
-    return made
 
 
 def _made(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified:
@@ -395,14 +395,6 @@ def _made(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified:
     started = time.perf_counter()
     mesh = coarsen(grid, **asked, **options)
     return Simplified(mesh, knob, setting, time.perf_counter() - started)
-
-
-def _row(
-    grid: Grid, name: str, made: Simplified, max_error: float, how: tuple[Method, Stage]
-) -> Row:
-    distance, certified = _distances(grid, made.mesh, *how)
-    bounds = None if certified is None else (certified.lower, certified.upper)
-    return Row(max_error, compared(grid, name, made), distance.hausdorff, bounds, made.mesh)
 
 
 def _complaints_about(rows: Sequence[Row]) -> Iterator[str]:
