@@ -31,6 +31,11 @@ def summary_of(*arguments):
     return json.loads(result.stdout)
 
 
+@pytest.fixture(autouse=True)
+def coarse_maps(monkeypatch):
+    monkeypatch.setattr(comparison_pictures, "_PIXELS_OF_SAMPLES", 60)
+
+
 @pytest.fixture
 def files(tmp_path):
     """A raster and two meshes of it, without a CRS, in a folder of their own."""
@@ -180,10 +185,10 @@ def test_the_extension_names_the_pictures_format(files):
 
 
 def test_surfaces_apart_are_measured_with_a_note(tmp_path):
-    paths = [with_crs(tmp_path / f"{x:g}.ply", None, x) for x in (0.0, 1e5)]
+    paths = [with_crs(tmp_path / f"{x:g}.ply", None, x) for x in (0.0, 2e4)]
     summary = summary_of(*paths, "--picture", tmp_path / "out.png")
     assert summary["notes"] == ["the surfaces do not overlap: are both in the same coordinates?"]
-    assert summary["hausdorff"] == pytest.approx(1e5, rel=0.01)
+    assert summary["hausdorff"] == pytest.approx(2e4, rel=0.01)
 
 
 def test_a_raster_beside_the_mesh_has_no_vertical_figures(files):
@@ -403,8 +408,8 @@ def test_a_map_of_distances_has_its_largest_where_a_spike_is():
     row, col = np.unravel_index(np.nanargmax(pixels), pixels.shape)
     x, y = place.a * col + place.c, place.e * row + place.f
     assert np.nanmax(pixels) == pytest.approx(10.0)
-    assert abs(x - (5e5 + 24 * 90.0)) < 20.0
-    assert abs(y - (4e6 - 8 * 90.0)) < 20.0
+    assert abs(x - (5e5 + 24 * 90.0)) < 50.0
+    assert abs(y - (4e6 - 8 * 90.0)) < 50.0
     assert not np.isnan(pixels).any()
 
 
