@@ -381,7 +381,7 @@ def bound_largest(vertices, triangles, squares, numbers, surface, frame, blocks,
                 continue
             tail, head = bisect_part(part, nearest[last], parts[other], nearest[other], points[1])
             square, number = np.nan, -1
-            for i in range(np.isnan(points[0, 0]), 2):
+            for i in range(int(np.isnan(points[0, 0])), 2):
                 point = points[i, 0], points[i, 1], points[i, 2]
                 square, number = nearest_to_point(point, surface, frame, blocks, waiting, bounds)
                 if square > lower * lower:
