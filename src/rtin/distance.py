@@ -35,6 +35,7 @@ __all__ = [
     "CertifiedDistance",
     "Field",
     "OneSided",
+    "Progress",
     "Sampling",
     "SurfaceDistance",
     "compare",
