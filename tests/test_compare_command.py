@@ -98,9 +98,22 @@ def test_the_figures_are_those_of_the_library(files):
     assert "certified" not in summary
 
 
+def test_what_lies_above_and_below_is_that_of_the_library(files):
+    found = summary_of(files / "20.ply", files / "60.ply", "--html", files / "page.html")
+    meshes = [rtin.read_mesh(files / name) for name in ("20.ply", "60.ply")]
+    expected = rtin.terrain_difference(*meshes)
+    told = found["b_minus_a"]
+    for name in ("min", "max", "mean", "rms", "fill", "cut", "area"):
+        assert told[name] == getattr(expected, name)
+    assert told["normals_mean_degrees"] == expected.normals.mean
+    assert told["fill"] - told["cut"] == pytest.approx(told["mean"] * told["area"])
+    assert f"cut {expected.cut:.6g}" in (files / "page.html").read_text(encoding="utf-8")
+
+
 def test_both_sides_may_be_meshes_and_change_places(files):
     there = summary_of(files / "20.ply", files / "60.ply")
     back = summary_of(files / "60.ply", files / "20.ply")
+    assert "b_minus_a" not in summary
     assert "vertical" not in there
     assert there["forward"]["max"] == back["backward"]["max"] > 0.0
     assert there["hausdorff"] == back["hausdorff"]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rtin.criteria import VerticalError
     from rtin.grid import Grid
     from rtin.mesh import TriangleMesh
+    from rtin.overlay import TerrainDifference
     from rtin.studies.comparison import Method
 
 __all__ = ["app", "main"]
@@ -838,7 +839,17 @@ def _compared_pair(
         summary["certified"] = {"lower": lower, "upper": upper, "place": list(place)}
     if pair.vertical is not None:
         summary["vertical"] = _vertical_figures(pair.vertical)
+    if pair.difference is not None:
+        summary["b_minus_a"] = _figures_of(pair.difference)
     return {**summary, "notes": pair.notes}
+
+
+def _figures_of(difference: TerrainDifference) -> dict[str, Any]:
+    names = ("min", "max", "mean", "mean_abs", "rms", "fill", "cut", "area")
+    figures = {name: getattr(difference, name) for name in names}
+    for name, angles in (("normals", difference.normals), ("slope", difference.slope)):
+        figures |= {f"{name}_{x}_degrees": value for x, value in angles._asdict().items()}
+    return figures
 
 
 def _vertical_figures(error: VerticalError) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from rtin.distance import (
 )
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
+from rtin.overlay import TerrainDifference, terrain_difference
 from rtin.simplifiers import (
     SIMPLIFIERS,
     Compared,
@@ -108,6 +109,8 @@ class Pair:
     vertical : VerticalError or None
         Of the mesh against the raster, where one side is a mesh and the other a raster, and the
         mesh covers a sample of it.
+    difference : TerrainDifference or None
+        B less A at the same places, where both have some in common.
     notes : list of str
         What to know of the coordinates.
     """
@@ -117,6 +120,7 @@ class Pair:
     distance: SurfaceDistance
     certified: CertifiedDistance | None
     vertical: VerticalError | None
+    difference: TerrainDifference | None
     notes: list[str]
 
     def counts(self) -> list[dict[str, int]]:
@@ -138,7 +142,9 @@ def measure_pair(
     found = _distances(a, b, method or Method(), stage)
     with stage("measuring upright"):
         vertical = _vertical(a, b)
-    return Pair(a, b, *found, vertical, _notes_on(a, b))
+    with stage("overlaying") as tell:
+        difference = _difference(a, b, tell)
+    return Pair(a, b, *found, vertical, difference, _notes_on(a, b))
 
 
 def _no_stage(_: str) -> AbstractContextManager[None]:
@@ -164,6 +170,13 @@ def _vertical(a: Surface, b: Surface) -> VerticalError | None:
     try:
         return vertical_error(mesh, grid)
     except ValueError:  # it covers no sample
+        return None
+
+
+def _difference(a: Surface, b: Surface, tell: Progress | None) -> TerrainDifference | None:
+    try:
+        return terrain_difference(a, b, progress=tell)
+    except ValueError:  # they have no place in common
         return None
 
 
