@@ -22,6 +22,7 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python benchmarks/coarsening.py $(RASTERS)
 	$(BIN)/python benchmarks/refinement.py
+	$(BIN)/python benchmarks/distance.py $(RASTERS)
 	$(BIN)/python benchmarks/memory.py $(RASTERS)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/promise.py $(RASTERS)

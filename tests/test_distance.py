@@ -50,7 +50,7 @@ def test_is_exact_near_and_far(name):
 @pytest.mark.parametrize("name", [name for name in ALL if name != "slivers"])
 def test_is_what_libigl_finds(name):
     """But for slivers, where libigl loses digits."""
-    igl = pytest.importorskip("igl")
+    igl = pytest.importorskip("igl", exc_type=ImportError)
     surface = ALL[name]()
     points = points_around(surface, 300, np.random.default_rng(6))
     mesh = full(surface) if isinstance(surface, rtin.Grid) else surface
@@ -90,7 +90,7 @@ def through_blocks(kind):
 
 @pytest.mark.parametrize("kind", ["grid", "mesh"])
 def test_finds_what_is_nearest_many_cells_away(kind):
-    igl = pytest.importorskip("igl")
+    igl = pytest.importorskip("igl", exc_type=ImportError)
     surface, mesh = through_blocks(kind), through_blocks("mesh")
     rng = np.random.default_rng(8)
     low, high = mesh.bounds
@@ -450,7 +450,7 @@ def test_an_unknown_crs_is_taken_to_be_the_other_ones():
 
 def of_meshlab(source, target, n_samples):
     """What MeshLab finds in faces alone, by Monte Carlo, at vertices alone, and everywhere."""
-    pymeshlab = pytest.importorskip("pymeshlab")
+    pymeshlab = pytest.importorskip("pymeshlab", exc_type=ImportError)
     meshes = pymeshlab.MeshSet(verbose=False)
     for mesh in (source, target):
         meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.triangles))

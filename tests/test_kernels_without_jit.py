@@ -38,6 +38,10 @@ CHOSEN = [
     "test_distance.py::test_is_exact_near_and_far",
     "test_distance.py::test_is_the_nearest_of_all_triangles_of_any_grid",
     "test_distance.py::test_bounds_hold_what_samples_find",
+    "test_hausdorff.py::test_of_a_plane_shifted_along_its_normal[0.5]",
+    "test_hausdorff.py::test_of_a_lid_over_a_valley_is_where_both_sides_are_equally_far",
+    "test_hausdorff.py::test_of_a_pyramid_and_its_base_is_its_height",
+    "test_terrain_difference.py::test_is_the_sum_over_all_pairs_of_triangles",
     "test_sampling.py::test_takes_what_metro_takes",
     "test_sampling.py::test_all_edges_get_points",
 ]

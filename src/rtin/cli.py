@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from rtin.criteria import VerticalError
     from rtin.grid import Grid
     from rtin.mesh import TriangleMesh
+    from rtin.overlay import TerrainDifference
     from rtin.studies.comparison import Method
 
 __all__ = ["app", "main"]
@@ -590,11 +592,9 @@ def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMes
     return mesh, _measured(mesh, grid)
 
 
-def _say_if_not_compiled() -> None:
-    from rtin.coarsening import is_compiled
-
-    if not is_compiled():
-        _say("first run: compiling, which takes some 15 seconds, once for this machine")
+def _say_if_not_compiled(module: str = "rtin.coarsening", seconds: int = 15) -> None:
+    if not import_module(module).is_compiled():
+        _say(f"first run: compiling, which takes some {seconds} seconds, once for this machine")
 
 
 def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
@@ -817,7 +817,7 @@ def _compared_pair(
     """Compare two files and write what is wanted; return the summary, notes last."""
     from rtin.studies import comparison, comparison_pictures, comparison_report
 
-    _say_if_not_compiled()
+    _say_if_not_compiled("rtin.distance", seconds=30)
     a, b = (read(path) for path in paths)
     pair = comparison.measure_pair(a, b, method, stage=_progress_bar)
     names = (paths[0].name, paths[1].name)
@@ -839,7 +839,17 @@ def _compared_pair(
         summary["certified"] = {"lower": lower, "upper": upper, "place": list(place)}
     if pair.vertical is not None:
         summary["vertical"] = _vertical_figures(pair.vertical)
+    if pair.difference is not None:
+        summary["b_minus_a"] = _figures_of(pair.difference)
     return {**summary, "notes": pair.notes}
+
+
+def _figures_of(difference: TerrainDifference) -> dict[str, Any]:
+    names = ("min", "max", "mean", "mean_abs", "rms", "fill", "cut", "area")
+    figures = {name: getattr(difference, name) for name in names}
+    for name, angles in (("normals", difference.normals), ("slope", difference.slope)):
+        figures |= {f"{name}_{x}_degrees": value for x, value in angles._asdict().items()}
+    return figures
 
 
 def _vertical_figures(error: VerticalError) -> dict[str, Any]:
@@ -866,7 +876,7 @@ def _compared_with_others(
     with _values_are_usage():
         tolerances = comparison.tolerances_in(asked[0])
         names = comparison.names_in(asked[1])
-    _say_if_not_compiled()
+    _say_if_not_compiled("rtin.distance", seconds=30)
     grid = read(path)
     assert isinstance(grid, Grid)
     found = comparison.measure(

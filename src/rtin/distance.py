@@ -35,10 +35,12 @@ __all__ = [
     "CertifiedDistance",
     "Field",
     "OneSided",
+    "Progress",
     "Sampling",
     "SurfaceDistance",
     "compare",
     "hausdorff",
+    "is_compiled",
 ]
 
 _Floats = NDArray[np.float64]
@@ -317,6 +319,14 @@ def hausdorff(
     return CertifiedDistance(
         *(_bounds(way, *start, gap, done) for way, start in zip(ways, reached, strict=True))
     )
+
+
+def is_compiled() -> bool:
+    """Return whether compiled kernels lie on disk: the first call on a machine takes longer."""
+    from rtin._kernels._jit import compiled_before
+    from rtin._kernels.distance import nearest_on_surface
+
+    return compiled_before(nearest_on_surface)
 
 
 # --- from samples -------------------------------------------------------------------------------

@@ -234,7 +234,8 @@ def _area_from_above(surface: Surface) -> float:
 def _result(found: _Sums, areas: tuple[float, float], local: Local) -> TerrainDifference:
     from rtin._kernels import overlay
 
-    area, above, below, squares, *angles = found.sums.tolist()
+    area, above, below, squares = found.sums[:4].tolist()
+    angle, angle_squares, slope, slope_squares = found.sums[4:].tolist()
     extremes = found.extremes.tolist()
     places = found.extremes[
         [[overlay.MAX + 1, overlay.MAX + 2], [overlay.MIN + 1, overlay.MIN + 2]]
@@ -253,8 +254,8 @@ def _result(found: _Sums, areas: tuple[float, float], local: Local) -> TerrainDi
         area=area,
         area_only_a=max(0.0, areas[0] - area),
         area_only_b=max(0.0, areas[1] - area),
-        normals=_angles(area, *angles[:2], extremes[overlay.MAX_ANGLE]),
-        slope=_angles(area, *angles[2:], extremes[overlay.MAX_SLOPE]),
+        normals=_angles(area, angle, angle_squares, extremes[overlay.MAX_ANGLE]),
+        slope=_angles(area, slope, slope_squares, extremes[overlay.MAX_SLOPE]),
     )
 
 

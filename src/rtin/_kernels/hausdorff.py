@@ -34,7 +34,6 @@ from rtin._kernels.overlay import MOST_CORNERS, split, turn
 MOST_CELLS = 64  # that a part is laid over
 MOST_TRIANGLES = 64
 MOST_POLYGONS = 96
-STEPS = 6  # towards a place that is equally far from two triangles
 OUTSIDE = 1.0 / 16.0  # of the tolerance: polygons may reach so far beyond their triangle
 # A part's longest edge is at most √3 · 2**(-n/2) of the first one after n bisections (A. Adler,
 # Mathematics of Computation 40, 1983), and none that is shorter than the tolerance is open: with
@@ -96,30 +95,11 @@ def distances_on_edge(part, tail, head, share, one, other):
 
 
 @jit
-def crossing(part, tail, head, one, other, at_tail, at_head):
-    """The larger of both distances about where they are equal on an edge of a part.
-
-    ``at_tail`` and ``at_head``, of unlike signs, are the differences of the distances at its ends;
-    regula falsi, with the Illinois rule.
-    """
-    low, high, least = 0.0, 1.0, np.inf
-    for _ in range(STEPS):
-        share = low + (high - low) * (at_tail / (at_tail - at_head))
-        to_one, to_other = distances_on_edge(part, tail, head, share, one, other)
-        least = min(least, max(to_one, to_other))
-        difference = to_one - to_other
-        if difference == 0.0:
-            break
-        if (difference > 0.0) == (at_tail > 0.0):
-            low, at_tail, at_head = share, difference, 0.5 * at_head
-        else:
-            high, at_head, at_tail = share, difference, 0.5 * at_tail
-    return least
-
-
-@jit
 def two_square(part, one, other):
-    """The same by two triangles, each for the side of the part where it is nearer."""
+    """The same by two triangles, each for about the side of the part where it is nearer.
+
+    Where both are planes around here, the sides meet where both are equally far.
+    """
     largest = 0.0
     differences = np.empty(3)
     for corner in range(3):
@@ -128,13 +108,11 @@ def two_square(part, one, other):
         largest = max(largest, min(to_one, to_other))
     for tail in range(3):
         head = (tail + 1) % 3
-        if (
-            min(differences[tail], differences[head])
-            < 0.0
-            < max(differences[tail], differences[head])
-        ):
-            at_tail, at_head = differences[tail], differences[head]
-            largest = max(largest, crossing(part, tail, head, one, other, at_tail, at_head))
+        at_tail, at_head = differences[tail], differences[head]
+        if min(at_tail, at_head) < 0.0 and max(at_tail, at_head) > 0.0:
+            share = at_tail / (at_tail - at_head)
+            to_one, to_other = distances_on_edge(part, tail, head, share, one, other)
+            largest = max(largest, to_one, to_other)
     return largest * largest
 
 
@@ -381,7 +359,7 @@ def bound_largest(vertices, triangles, squares, numbers, surface, frame, blocks,
                 continue
             tail, head = bisect_part(part, nearest[last], parts[other], nearest[other], points[1])
             square, number = np.nan, -1
-            for i in range(np.isnan(points[0, 0]), 2):
+            for i in range(int(np.isnan(points[0, 0])), 2):
                 point = points[i, 0], points[i, 1], points[i, 2]
                 square, number = nearest_to_point(point, surface, frame, blocks, waiting, bounds)
                 if square > lower * lower:

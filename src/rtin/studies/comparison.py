@@ -24,11 +24,11 @@ from rtin.distance import (
 )
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
+from rtin.overlay import TerrainDifference, terrain_difference
 from rtin.simplifiers import (
     SIMPLIFIERS,
     Compared,
     NotInstalled,
-    NotSuited,
     Simplified,
     compared,
     simplified,
@@ -109,6 +109,8 @@ class Pair:
     vertical : VerticalError or None
         Of the mesh against the raster, where one side is a mesh and the other a raster, and the
         mesh covers a sample of it.
+    difference : TerrainDifference or None
+        B less A at the same places, where both have some in common.
     notes : list of str
         What to know of the coordinates.
     """
@@ -118,6 +120,7 @@ class Pair:
     distance: SurfaceDistance
     certified: CertifiedDistance | None
     vertical: VerticalError | None
+    difference: TerrainDifference | None
     notes: list[str]
 
     def counts(self) -> list[dict[str, int]]:
@@ -139,7 +142,9 @@ def measure_pair(
     found = _distances(a, b, method or Method(), stage)
     with stage("measuring upright"):
         vertical = _vertical(a, b)
-    return Pair(a, b, *found, vertical, _notes_on(a, b))
+    with stage("overlaying") as tell:
+        difference = _difference(a, b, tell)
+    return Pair(a, b, *found, vertical, difference, _notes_on(a, b))
 
 
 def _no_stage(_: str) -> AbstractContextManager[None]:
@@ -165,6 +170,13 @@ def _vertical(a: Surface, b: Surface) -> VerticalError | None:
     try:
         return vertical_error(mesh, grid)
     except ValueError:  # it covers no sample
+        return None
+
+
+def _difference(a: Surface, b: Surface, tell: Progress | None) -> TerrainDifference | None:
+    try:
+        return terrain_difference(a, b, progress=tell)
+    except ValueError:  # they have no place in common
         return None
 
 
@@ -359,30 +371,30 @@ def measure(
             if isinstance(made, str):
                 passed_over.setdefault((name, made), []).append(max_error)
                 continue
-            rows.append(_row(grid, name, made, max_error, (method or Method(), stage)))
+            mesh, figures = made
+            distance, certified = _distances(grid, mesh, method or Method(), stage)
+            bounds = None if certified is None else (certified.lower, certified.upper)
+            rows.append(Row(max_error, figures, distance.hausdorff, bounds, mesh))
             if name == OURS and match == "vertices":
-                asked = {"max_vertices": made.mesh.n_vertices}
+                asked = {"max_vertices": mesh.n_vertices}
     notes = [
         f"{name} for {', '.join(f'{value:g}' for value in at)}: {reason}"
         for (name, reason), at in passed_over.items()
     ]
-    complaints = [line for row in rows for line in _complaints_about(row)]
-    return Comparison(grid, match, rows, notes + complaints)
+    return Comparison(grid, match, rows, [*notes, *_complaints_about(rows)])
 
 
-def _attempt(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified | str:
-    """Return what a simplifier makes, or why it can't."""
+def _attempt(grid: Grid, name: str, asked: dict[str, Any]) -> tuple[TriangleMesh, Compared] | str:
+    """Return what a simplifier makes and how good it is, or why it can't."""
     try:
         made = _made(grid, name, asked)
-        if name != OURS:
-            vertical_error(made.mesh, grid)
+        return made.mesh, compared(grid, name, made)
     except NotInstalled as reason:
         return str(reason)
-    except ValueError as reason:
-        if name == OURS and not isinstance(reason, NotSuited):
+    except ValueError as reason:  # NotSuited, or a mesh that covers no sample
+        if name == OURS:
             raise
         return str(reason)
-    return made
 
 
 def _made(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified:
@@ -390,29 +402,24 @@ def _made(grid: Grid, name: str, asked: dict[str, Any]) -> Simplified:
         return simplified(grid, name, **asked)
     options = VARIANTS[name].options
     knob, setting = next(iter(asked.items()))
-    least: dict[str, Any] = {knob: {"max_error": 0.0, "max_vertices": 4}[knob]}
-    flat = Grid(np.zeros((2, 2), grid.heights.dtype))
-    coarsen(flat, **least, **options)  # compiling is none of the work
+    small: dict[str, Any] = {knob: {"max_error": 1.0, "max_vertices": 30}[knob]}
+    rough = Grid((np.arange(81) ** 2 % 7).reshape(9, 9).astype(grid.heights.dtype))
+    coarsen(rough, **small, **options)  # compiling is none of the work
     started = time.perf_counter()
     mesh = coarsen(grid, **asked, **options)
     return Simplified(mesh, knob, setting, time.perf_counter() - started)
 
 
-def _row(
-    grid: Grid, name: str, made: Simplified, max_error: float, how: tuple[Method, Stage]
-) -> Row:
-    distance, certified = _distances(grid, made.mesh, *how)
-    bounds = None if certified is None else (certified.lower, certified.upper)
-    return Row(max_error, compared(grid, name, made), distance.hausdorff, bounds, made.mesh)
-
-
-def _complaints_about(row: Row) -> Iterator[str]:
-    who, figures = f"{row.name} for {row.max_error:g}", row.figures
-    if figures.n_uncovered:
-        yield f"{who} leaves {figures.n_uncovered} samples uncovered, which enter no figure"
-    if figures.faults:
-        more = f", and {len(figures.faults) - 1} more" if len(figures.faults) > 1 else ""
-        yield f"{who} is no conforming mesh: {figures.faults[0]}{more}"
+def _complaints_about(rows: Sequence[Row]) -> Iterator[str]:
+    for name in dict.fromkeys(row.name for row in rows):
+        figures = [(row.max_error, row.figures) for row in rows if row.name == name]
+        uncovered = [f"{one.n_uncovered} for {at:g}" for at, one in figures if one.n_uncovered]
+        if uncovered:
+            yield f"{name} leaves samples uncovered, which enter no figure: {', '.join(uncovered)}"
+        faulty = [(at, one.faults) for at, one in figures if one.faults]
+        if faulty:
+            at = ", ".join(f"{value:g}" for value, _ in faulty)
+            yield f"{name} makes no conforming mesh for {at}; the first fault: {faulty[0][1][0]}"
 
 
 # --- tables -------------------------------------------------------------------------------------

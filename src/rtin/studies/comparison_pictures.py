@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from rtin._raster import moved, widened
 from rtin._surfaces import bounds_of, local_system
 from rtin.criteria import VerticalError, vertical_error
-from rtin.distance import OneSided, compare
+from rtin.distance import compare
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 from rtin.plotting import show_at_its_place
-from rtin.studies._drawing import INK, draw_mesh, picture, write_picture
+from rtin.studies._drawing import draw_mesh, picture, write_picture
 from rtin.studies.comparison import OURS, Comparison, Pair, Row, label_of
 
 if TYPE_CHECKING:
@@ -36,7 +36,9 @@ _MOST_PIXELS = 600  # a side of a map
 _PIXELS_OF_SAMPLES = 300
 _SAMPLES_PER_PIXEL = 8
 _DRAWN_TRIANGLES = 1200  # of our mesh: more would be black
+_SHADES = 20  # few, so that values can be read off, and noise compresses
 _BESIDE = "#e4e4e4"  # where there is no sample or no surface
+_RING = "#00b050"
 _BEYOND = {"under": "#00f0ff", "over": "#ffd500"}  # blue and red get no darker
 _COLOURS = (
     "#2f6f9f", "#b5532a", "#6b7f2a", "#7a4f9a", "#c08a1e", "#2a8a7f", "#a83a66",
@@ -117,9 +119,8 @@ def _draw_vertical(figure: Figure, pair: Pair) -> None:
     assert isinstance(grid, Grid)
     ax = figure.add_subplot()
     image = _draw_error(ax, error, grid, error.max)
-    _, _, x, _, _, y = tuple(moved(grid.transform, *error.sample))[:6]
-    ax.plot(x, y, "+", color=INK, ms=10.0, label=f"largest: {error.max:.4g}")
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0))
+    place = moved(grid.transform, *error.sample)
+    _mark(ax, place.c, place.f, error.max)
     ax.set_title(f"mesh minus raster: rms {error.rms:.4g}, mean {error.mean:.4g}")
     figure.colorbar(image, ax=ax, shrink=0.8)
 
@@ -133,13 +134,14 @@ def _draw_distances(figure: Figure, pair: Pair) -> None:
         image = show_at_its_place(ax, *field, cmap=_map_from("magma_r"), vmin=0.0, vmax=largest,
                                   interpolation="nearest")  # fmt: skip
         _frame(ax, pair.a, pair.b)
-        _mark(ax, way)
+        _mark(ax, *way.place[:2], way.max)
         ax.set_title(f"{name}: rms {way.rms:.4g}, mean {way.mean:.4g}")
     figure.colorbar(image, ax=axes, shrink=0.8)
 
 
-def _mark(ax: Axes, way: OneSided) -> None:
-    ax.plot(*way.place[:2], "+", color=INK, ms=10.0, label=f"largest: {way.max:.4g}")
+def _mark(ax: Axes, x: float, y: float, largest: float) -> None:
+    ax.plot(x, y, "o", mfc="none", mec=_RING, mew=1.8, ms=10.0, ls="", clip_on=False,
+            label=f"largest: {largest:.4g}")  # fmt: skip
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0))
 
 
@@ -172,8 +174,8 @@ def _maps(comparison: Comparison, tolerances: Sequence[float]) -> _Figure:
     n_cols = min(_MOST_COLUMNS, widest) if len(tolerances) == 1 else widest
     draw = partial(_draw_maps, comparison=comparison, tolerances=tolerances, n_cols=n_cols)
     n_lines = -(-len(rows) // n_cols) if len(tolerances) == 1 else len(tolerances)
-    panel = _PANEL * _height(comparison.grid) + 0.5
-    return _Figure((_PANEL * n_cols + 0.9, panel * n_lines), draw)
+    panel = _PANEL * _height(comparison.grid) + 0.6
+    return _Figure((_PANEL * n_cols + 0.8, panel * n_lines), draw)
 
 
 def _draw_maps(
@@ -227,7 +229,7 @@ def _largest_of_blocks(values: _Floats, step: int) -> _Floats:
 def _map_from(name: str) -> Any:  # noqa: ANN401
     from matplotlib import colormaps
 
-    return colormaps[name].with_extremes(bad=_BESIDE, **_BEYOND)
+    return colormaps[name].resampled(_SHADES).with_extremes(bad=_BESIDE, **_BEYOND)
 
 
 def _frame(ax: Axes, *surfaces: TriangleMesh | Grid) -> None:
@@ -276,9 +278,10 @@ def _draw_curves(figure: Figure, comparison: Comparison) -> None:
                 ms=4.0, lw=2.0 if name == OURS else 1.1, label=label_of(name),
                 color=_COLOURS[number % len(_COLOURS)],
             )  # fmt: skip
-        ax.set(xscale="log", yscale="log", xlabel="vertices")
-        ax.set_title(f"vertical error, {key}")
-        _number_plainly(ax)
+        ax.set(xlabel="vertices", title=f"vertical error, {key}")
+        if any(getattr(row.figures, key) > 0.0 for row in comparison.rows):
+            ax.set(xscale="log", yscale="log")
+            _number_plainly(ax)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper")
 

@@ -97,13 +97,21 @@ def page_of_pair(pair: Pair, names: tuple[str, str], notes: Sequence[str]) -> by
 def _said_of(pair: Pair) -> list[str]:
     lines = [f"Hausdorff distance: {pair.distance.hausdorff:.6g} or more, from samples."]
     if pair.certified is not None:
-        found = pair.certified
-        lines[0] = f"Hausdorff distance: from {found.lower:.6g} to {found.upper:.6g}, certified."
+        lower, upper = pair.certified.lower, pair.certified.upper
+        lines[0] = f"Hausdorff distance: from {lower:.6g} to {upper:.6g}, certified."
     if pair.vertical is not None:
         error = pair.vertical
         lines.append(
             f"Vertical errors at the raster's samples: max {error.max:.6g}, rms {error.rms:.6g}, "
             f"mean {error.mean:.6g}; {error.n_uncovered} samples uncovered."
+        )
+    if pair.difference is not None:
+        found = pair.difference
+        lines.append(
+            f"B less A at the same places: {found.min:.6g} to {found.max:.6g}, mean "
+            f"{found.mean:.6g}, rms {found.rms:.6g}; fill {found.fill:.6g}, cut {found.cut:.6g} "
+            f"over an area of {found.area:.6g}. Normals differ by {found.normals.mean:.4g}° on "
+            f"average, slopes by {found.slope.rms:.4g}° rms."
         )
     return lines
 
