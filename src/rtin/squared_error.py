@@ -87,9 +87,9 @@ def keep_within(gains: _Gains, kept: _Kept, room: _Room) -> None:
 
 
 def _keep_until_too_fine(gains: _Gains, kept: _Kept, room: _Room) -> tuple[float, _Items]:
-    """Keep the best sets of falling weights while there is room; return the first too large.
+    """Keep the best sets of falling weights while there is room; ``room`` is what remains of it.
 
-    Of that one, what it has more; before it, its weight. ``room`` is left with what remains.
+    Returns the weight of the first set that is too large, and the vertices that it has more.
     """
     from rtin._kernels.squared_error import keep_all
 
