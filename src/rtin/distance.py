@@ -79,7 +79,9 @@ class OneSided:
         Over all samples alike, as Metro has them.
     area_mean, area_rms : float
         Over the samples inside triangles, each weighted by the area that it stands for: these
-        estimate the surface integrals of the definitions. NaN where no sample is inside one.
+        estimate the surface integrals of the definitions. NaN where no sample is inside one. Where
+        triangles get only a point or two, points in the middle are nearer than the edges: then
+        "montecarlo" alone is without bias (of 2.5 % in rms at two points a triangle of mountains).
     place : (float, float, float)
         The first sample at the largest distance, in the units of the CRS and of the heights.
     n_samples : int
