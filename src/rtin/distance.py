@@ -59,9 +59,11 @@ class Field(NamedTuple):
     points : ndarray of float64, shape (n, 3)
         In the units of the CRS and of the heights.
     distances : ndarray of float64, shape (n,)
+        In the unit of the heights.
     areas : ndarray of float64, shape (n,)
-        Area that a sample stands for; 0 for those at vertices and on edges. They add up to the
-        surface's area, less some triangles too small for a sample of their own.
+        Area that a sample stands for, in the square of that unit; 0 for those at vertices and on
+        edges. They add up to the surface's area, less some triangles too small for a sample of
+        their own.
     """
 
     points: _Floats
@@ -158,8 +160,10 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     lower, upper : float
+        In the unit of the heights.
     place : (float, float, float)
-        A point of the surface that is ``lower`` from the other one.
+        A point of the surface that is ``lower`` from the other one, in the units of the CRS and of
+        the heights.
     """
 
     lower: float
@@ -242,8 +246,9 @@ def compare(
     TypeError
         If a surface is neither a TriangleMesh nor a Grid, or a number is of the wrong kind.
     ValueError
-        If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS,
-        ``sampling`` is unknown, or ``samples`` is less than one.
+        If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS or
+        are larger than 1e50, ``sampling`` is unknown, ``samples`` is less than one, or ``seed``
+        less than zero.
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
