@@ -508,6 +508,24 @@ def test_wants_surfaces(wrong, error, message):
             rtin.compare(*pair)
 
 
+def test_a_quantile_is_of_the_rank_that_its_share_says():
+    stairs = rtin.Grid(np.arange(1.0, 101.0).reshape(10, 10))
+    corners = [[-999.0, -999.0, 0.0], [999.0, -999.0, 0.0], [0.0, 999.0, 0.0]]
+    floor = TriangleMesh(np.array(corners), np.array([[0, 1, 2]], np.int32))
+    found = rtin.compare(stairs, floor, "vertices").forward
+    for rank in range(1, 101):
+        assert found.quantile(rank / 100) == pytest.approx(rank, rel=6e-4), rank
+
+
+@pytest.mark.parametrize("measure", [rtin.compare, rtin.hausdorff, rtin.terrain_difference])
+@pytest.mark.parametrize("scale", [(1e55, 1e55, 1.0), (1.0, 1.0, 1e55), (1e160, 1e160, 1e160)])
+def test_refuses_surfaces_whose_products_overflow(measure, scale):
+    mesh = plane()
+    vertices = (mesh.vertices + np.array([0.0, 0.0, 1.0])) * scale
+    with pytest.raises(ValueError, match=r"^surfaces must be smaller than 1e\+50, got 1.*e\+\d+$"):
+        measure(TriangleMesh(vertices, mesh.triangles), mesh)
+
+
 def test_refuses_unlike_crs():
     mesh = plane()
     a, b = (TriangleMesh(mesh.vertices, mesh.triangles, f"EPSG:{n}") for n in (32633, 4326))

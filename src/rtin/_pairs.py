@@ -18,6 +18,7 @@ __all__ = ["Progress", "Steps", "shares_of", "two_surfaces"]
 Progress: TypeAlias = Callable[[float], None]
 
 _MOST_TASKS = 16
+_LARGEST = 1e50  # six such lengths are multiplied, and float64 ends at 1e308
 
 
 def two_surfaces(
@@ -30,7 +31,8 @@ def two_surfaces(
     TypeError
         If one is neither a TriangleMesh nor a Grid.
     ValueError
-        If one has no triangle or a vertex that is not finite, or they have unlike CRS.
+        If one has no triangle or a vertex that is not finite, they have unlike CRS, or are larger
+        than 1e50.
     """
     for name, given in (("mesh_a", mesh_a), ("mesh_b", mesh_b)):
         _require_surface(name, given)
@@ -40,12 +42,14 @@ def two_surfaces(
             "reproject one of them first"
         )
     local = local_system(mesh_a, mesh_b)
+    _require_small(local.extent)
     a, b = surface_of(mesh_a, local), surface_of(mesh_b, local)
     for name, surface in (("mesh_a", a), ("mesh_b", b)):
         if surface.n_triangles == 0:
             raise ValueError(
                 f"{name} must have triangles, got a grid without three neighbouring heights"
             )
+        _require_small(surface.highest)
     return local, a, b
 
 
@@ -61,6 +65,11 @@ def _require_surface(name: str, surface: TriangleMesh | Grid) -> None:
     if is_bad.any():
         bad = int(numbers[is_bad][0])
         raise ValueError(f"{name} must have finite vertices, got {surface.vertices[bad]} at {bad}")
+
+
+def _require_small(size: float) -> None:
+    if not size < _LARGEST:
+        raise ValueError(f"surfaces must be smaller than {_LARGEST:g}, got {size:g}")
 
 
 def _name_of(surface: TriangleMesh | Grid) -> str:

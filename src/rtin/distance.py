@@ -49,6 +49,7 @@ _SAMPLES_PER_TRIANGLE = 10  # Metro's
 _SMALLEST_TOLERANCE = 1e-12  # of the largest coordinate: less is rounding
 _DEFAULT_TOLERANCE = 1e-3  # of the distance
 _LEAST_BY_DEFAULT = 1e-9  # of the largest coordinate
+_ROUNDING = 1e-15  # of a product
 
 
 class Field(NamedTuple):
@@ -59,9 +60,11 @@ class Field(NamedTuple):
     points : ndarray of float64, shape (n, 3)
         In the units of the CRS and of the heights.
     distances : ndarray of float64, shape (n,)
+        In the unit of the heights.
     areas : ndarray of float64, shape (n,)
-        Area that a sample stands for; 0 for those at vertices and on edges. They add up to the
-        surface's area, less some triangles too small for a sample of their own.
+        Area that a sample stands for, in the square of that unit; 0 for those at vertices and on
+        edges. They add up to the surface's area, less some triangles too small for a sample of
+        their own.
     """
 
     points: _Floats
@@ -120,7 +123,8 @@ class OneSided:
         if not 0.0 <= share <= 1.0:
             raise ValueError(f"a share between 0 and 1 is wanted, got {share}")
         counts = np.cumsum(self._histogram)
-        rank = max(1, int(np.ceil(share * self.n_samples)))
+        product = share * self.n_samples * (1.0 - _ROUNDING)  # 0.07 · 100 is above 7
+        rank = max(1, int(np.ceil(product)))
         return min(self.max, _middle_of_bin(int(np.searchsorted(counts, rank))))
 
 
@@ -160,8 +164,10 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     lower, upper : float
+        In the unit of the heights.
     place : (float, float, float)
-        A point of the surface that is ``lower`` from the other one.
+        A point of the surface that is ``lower`` from the other one, in the units of the CRS and of
+        the heights.
     """
 
     lower: float
@@ -244,8 +250,9 @@ def compare(
     TypeError
         If a surface is neither a TriangleMesh nor a Grid, or a number is of the wrong kind.
     ValueError
-        If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS,
-        ``sampling`` is unknown, or ``samples`` is less than one.
+        If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS or
+        are larger than 1e50, ``sampling`` is unknown, ``samples`` is less than one, or ``seed``
+        less than zero.
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")

@@ -130,7 +130,7 @@ def terrain_difference(
         If a terrain is neither a TriangleMesh nor a Grid.
     ValueError
         If a terrain has no triangle or a vertex that is not finite, the terrains have unlike CRS,
-        or no area in common.
+        are larger than 1e50, or have no area in common.
     """
     local, a, b = two_surfaces(mesh_a, mesh_b)
     is_turned = _rank(mesh_a, a) > _rank(mesh_b, b)

@@ -138,21 +138,37 @@ def square_to(point_x, point_y, point_z, vertices, triangles, triangle, enough):
 
 
 @jit
+def half_cell(row, col, half):
+    """Row and column of half a cell's right angle, and the other row and the other column of it."""
+    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
+    return corner_row, corner_col, 2 * row + 1 - corner_row, 2 * col + 1 - corner_col
+
+
+@jit
+def corners_of_half(heights, frame, row, col, half):
+    """Nine coordinates of half a cell: of its right angle, and beside and below or above that."""
+    corner_row, corner_col, end_row, side_col = half_cell(row, col, half)
+    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
+    return (
+        x0 + ux * corner_col + vx * corner_row,
+        y0 + uy * corner_col + vy * corner_row,
+        np.float64(heights[corner_row, corner_col]),  # differences of float32 would be rounded
+        x0 + ux * side_col + vx * corner_row,
+        y0 + uy * side_col + vy * corner_row,
+        np.float64(heights[corner_row, side_col]),
+        x0 + ux * corner_col + vx * end_row,
+        y0 + uy * corner_col + vy * end_row,
+        np.float64(heights[end_row, corner_col]),
+    )
+
+
+@jit
 def cell_square(px, py, pz, heights, frame, row, col, half, enough):
     """Squared distance from a point to half a cell; inf where it is ``enough`` or has a void."""
-    slant = (row + col) & 1
-    # The corner of the right angle, and the ones beside and below or above it.
-    corner_row, corner_col = row + half, col + (half ^ slant ^ 1)
-    side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
-    a = np.float64(heights[corner_row, corner_col])  # differences of float32 would be rounded
-    b, c = np.float64(heights[corner_row, side_col]), np.float64(heights[end_row, corner_col])
-    if np.isnan(a + b + c):
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners_of_half(heights, frame, row, col, half)
+    if np.isnan(az + bz + cz):
         return np.inf
-    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
-    ax, ay = x0 + ux * corner_col + vx * corner_row, y0 + uy * corner_col + vy * corner_row
-    bx, by = x0 + ux * side_col + vx * corner_row, y0 + uy * side_col + vy * corner_row
-    cx, cy = x0 + ux * corner_col + vx * end_row, y0 + uy * corner_col + vy * end_row
-    return triangle_square(px, py, pz, ax, ay, a, bx, by, b, cx, cy, c, enough)
+    return triangle_square(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz, enough)
 
 
 @jit
@@ -454,18 +470,4 @@ def corners_of(surface, frame, number):
     if heights.size == 0:
         return corners_at(vertices, triangles[number])
     row, col = divmod(number >> 1, heights.shape[1] - 1)
-    half = number & 1
-    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
-    side_col, end_row = 2 * col + 1 - corner_col, 2 * row + 1 - corner_row
-    x0, y0, ux, uy, vx, vy = frame[0], frame[1], frame[2], frame[3], frame[4], frame[5]
-    return (
-        x0 + ux * corner_col + vx * corner_row,
-        y0 + uy * corner_col + vy * corner_row,
-        np.float64(heights[corner_row, corner_col]),
-        x0 + ux * side_col + vx * corner_row,
-        y0 + uy * side_col + vy * corner_row,
-        np.float64(heights[corner_row, side_col]),
-        x0 + ux * corner_col + vx * end_row,
-        y0 + uy * corner_col + vy * end_row,
-        np.float64(heights[end_row, corner_col]),
-    )
+    return corners_of_half(heights, frame, row, col, number & 1)

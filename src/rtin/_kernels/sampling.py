@@ -7,6 +7,7 @@ of a point after an edge or a triangle is carried to the next one.
 import numpy as np
 
 from rtin._kernels._jit import jit
+from rtin._kernels.distance import half_cell
 
 SUBDIVISION, SIMILAR, RANDOM = 0, 1, 2
 DROPPED_BITS = 12  # of a float32, which leaves 11 of its digits: 0.05 %
@@ -20,11 +21,11 @@ def is_half(heights, row, col, half):
     """Whether half a cell lies inside the grid and its three samples have heights."""
     if row < 0 or col < 0 or row >= heights.shape[0] - 1 or col >= heights.shape[1] - 1:
         return False
-    slant = (row + col) & 1
-    corner_row, corner_col = row + half, col + (half ^ slant ^ 1)
-    beside = heights[corner_row, 2 * col + 1 - corner_col]
+    corner_row, corner_col, end_row, side_col = half_cell(row, col, half)
     return not np.isnan(
-        heights[corner_row, corner_col] + beside + heights[2 * row + 1 - corner_row, corner_col]
+        heights[corner_row, corner_col]
+        + heights[corner_row, side_col]
+        + heights[end_row, corner_col]
     )
 
 
@@ -45,8 +46,7 @@ def is_corner(heights, row, col):
     for cell_row in range(row - 1, row + 1):
         for cell_col in range(col - 1, col + 1):
             for half in range(2):
-                opposite_row = cell_row + 1 - half
-                opposite_col = cell_col + (half ^ ((cell_row + cell_col) & 1))
+                _, _, opposite_row, opposite_col = half_cell(cell_row, cell_col, half)
                 is_far = row == opposite_row and col == opposite_col
                 if not is_far and is_half(heights, cell_row, cell_col, half):
                     return True
@@ -75,9 +75,9 @@ def fill_half_cells(heights, first_row, end_row, triangles):
         for col in range(n_cols - 1):
             for half in range(2):
                 if is_half(heights, row, col, half):
-                    corner_row, corner_col = row + half, col + (half ^ ((row + col) & 1) ^ 1)
-                    beside = (corner_row - first_row) * n_cols + 2 * col + 1 - corner_col
-                    across = (2 * row + 1 - corner_row - first_row) * n_cols + corner_col
+                    corner_row, corner_col, end_row, side_col = half_cell(row, col, half)
+                    beside = (corner_row - first_row) * n_cols + side_col
+                    across = (end_row - first_row) * n_cols + corner_col
                     turned = (row + col) & 1 == 0
                     triangles[n, 0] = across if turned else beside
                     triangles[n, 1] = beside if turned else across
