@@ -539,6 +539,7 @@ def test_refuses_unlike_crs():
         ({"sampling": "poisson"}, ValueError, "subdivision, .*, vertices, got 'poisson'"),
         ({"sampling": None}, ValueError, "sampling must be one of subdivision, .*, got None"),
         ({"samples": 0}, ValueError, "samples must be 1 or more, got 0"),
+        ({"samples": 10**400}, ValueError, "samples must be 1000000000000000 or fewer, got 1000"),
         ({"samples": 1e4}, TypeError, "samples must be a whole number, got 10000.0"),
         ({"samples": True}, TypeError, "samples must be a whole number, got True"),
         ({"seed": -1}, ValueError, "seed must be 0 or more, got -1"),

@@ -46,6 +46,7 @@ __all__ = [
 _Floats = NDArray[np.float64]
 
 _SAMPLES_PER_TRIANGLE = 10  # Metro's
+_MOST_SAMPLES = 10**15
 _SMALLEST_TOLERANCE = 1e-12  # of the largest coordinate: less is rounding
 _DEFAULT_TOLERANCE = 1e-3  # of the distance
 _LEAST_BY_DEFAULT = 1e-9  # of the largest coordinate
@@ -260,6 +261,8 @@ def compare(
     wanted = _SAMPLES_PER_TRIANGLE * max(a.n_triangles, b.n_triangles)
     if samples is not None:
         wanted = _as_count("samples", samples)
+        if wanted > _MOST_SAMPLES:
+            raise ValueError(f"samples must be {_MOST_SAMPLES} or fewer, got {str(wanted)[:20]}")
     first_seed = _as_count("seed", seed, least=0)
     done = Steps(progress, a.n_pieces + b.n_pieces)
     ways = [
