@@ -252,8 +252,8 @@ def compare(
         If a surface is neither a TriangleMesh nor a Grid, or a number is of the wrong kind.
     ValueError
         If a surface has no triangle or a vertex that is not finite, the surfaces have unlike CRS or
-        are larger than 1e50, ``sampling`` is unknown, ``samples`` is less than one, or ``seed``
-        less than zero.
+        are larger than 1e50, ``sampling`` is unknown, ``samples`` is below 1 or above 10**15,
+        or ``seed`` is below 0.
     """
     if sampling not in SAMPLINGS:
         raise ValueError(f"sampling must be one of {', '.join(SAMPLINGS)}, got {sampling!r}")
