@@ -738,7 +738,7 @@ def test_says_that_nothing_is_left_where_no_triangle_has_three_heights():
 
 def test_says_how_large_a_lattice_would_have_been():
     grid = rtin.Grid(np.zeros((2, 2**22 + 2), np.float32))
-    with pytest.raises(MemoryError, match=r"2 × 4194306 samples needs a lattice of \d+\.\d GiB"):
+    with pytest.raises(MemoryError, match=r"8388609 × 8388609 samples needs \d+\.\d GiB"):
         rtin.coarsen(grid, max_error=1)
 
 

@@ -161,7 +161,7 @@ def coarsen(
         weight=weight,
     )
     required = None if keep is None else _as_mask(grid, "keep", keep)
-    swapped = _lattice_bytes(grid) if diagonals == "best" else None
+    swapped = lattice_bytes(lattice_size(grid.shape)) if diagonals == "best" else None
     tolerance = _NO_LIMIT
     if name == "max_error":
         tolerance = _as_tolerance(grid, value)
@@ -177,7 +177,7 @@ def coarsen(
     else:
         kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
     _choose_diagonals(grid, kept, swapped, tolerance)
-    mesh = _mesh_of(grid, kept, swapped)
+    mesh = mesh_of_kept(grid, kept, swapped)
     if heights == "sampled":
         return mesh
     return _fitted(mesh, grid, tolerance if name == "max_error" else _NO_LIMIT)
@@ -217,7 +217,7 @@ def coarsen_levels(
     for tolerance in sorted(set(tolerances), reverse=True):
         remembers = tolerance > min(tolerances)
         starts = [_settle(grid, kept, shares, (tolerance, None), remembers) for shares in starts]
-        meshes[tolerance] = _mesh_of(grid, kept)
+        meshes[tolerance] = mesh_of_kept(grid, kept)
     return [meshes[tolerance] for tolerance in tolerances]
 
 
@@ -332,7 +332,7 @@ def _settle(
 
     n_rows = len(kept)
     bands = _parallel.row_bands(n_rows)
-    common = (grid.heights, _is_complete(grid), *tolerance, kept, swapped)
+    common = (grid.heights, is_complete(grid), *tolerance, kept, swapped)
     found = [[share[:0]] for share in shares]
     if sum(share.size for share in shares) < len(bands):
         # Too little to share out: the largest triangles first, whose splits are everybody's work.
@@ -386,7 +386,7 @@ def _fitted(mesh: TriangleMesh, grid: Grid, tolerance: _Tolerance) -> TriangleMe
 # --- the mesh of a closed set -------------------------------------------------------------------
 
 
-def _mesh_of(grid: Grid, kept: _Kept, swapped: _Swapped = None) -> TriangleMesh:
+def mesh_of_kept(grid: Grid, kept: _Kept, swapped: _Swapped = None) -> TriangleMesh:
     from rtin._kernels.coarsening import fill_triangles, fill_vertices
 
     in_mesh = _mark_used(grid, kept)
@@ -421,7 +421,7 @@ def _mark_used(grid: Grid, kept: _Kept) -> int:
     """Mark which kept vertices have a triangle; return the byte that says so."""
     from rtin._kernels.coarsening import KEPT, USED, mark_used
 
-    if _is_complete(grid):
+    if is_complete(grid):
         return KEPT
     mark_used(grid.heights, kept, _words(kept))
     return USED
@@ -453,7 +453,7 @@ def _offsets(counts: _Items) -> tuple[_Items, int]:
 # --- the lattice --------------------------------------------------------------------------------
 
 
-def _is_complete(grid: Grid) -> bool:
+def is_complete(grid: Grid) -> bool:
     """Return whether the grid fills its lattice: square, 2**k + 1 samples a side, no voids."""
     size = lattice_size(grid.shape)
     return grid.shape == (size + 1, size + 1) and not grid.has_voids
@@ -462,21 +462,20 @@ def _is_complete(grid: Grid) -> bool:
 def _coarsest(grid: Grid) -> _Kept:
     """Return the closed set of the two root triangles: the lattice's corners."""
     size = lattice_size(grid.shape)
-    kept = _lattice_bytes(grid)
+    kept = lattice_bytes(size)
     kept[::size, : size + 1 : size] = 1
     return kept
 
 
-def _lattice_bytes(grid: Grid) -> _Kept:
-    """Return a zero for each sample of the lattice."""
-    size = lattice_size(grid.shape)
+def lattice_bytes(size: int) -> _Kept:
+    """Return a zero for each sample of a lattice of ``size`` cells a side."""
     try:
         # Rows are padded so that they can be read by eights as well.
         return np.zeros((size + 1, 8 * (size // 8 + 2)), np.uint8)
     except (MemoryError, ValueError):
         raise MemoryError(
-            f"a grid of {grid.shape[0]} × {grid.shape[1]} samples needs a lattice of "
-            f"{(size + 1) ** 2 / 2**30:.1f} GiB, which can't be had; coarsen windows of it instead"
+            f"a lattice of {size + 1} × {size + 1} samples needs {(size + 1) ** 2 / 2**30:.1f} GiB, "
+            "which can't be had; coarsen windows of the grid instead"
         ) from None
 
 
@@ -487,7 +486,7 @@ def _words(kept: _Kept) -> NDArray[np.uint64]:
 
 def _outline(grid: Grid) -> _Kept:
     """Return the least closed set that separates heights from voids."""
-    return _coarsest(grid) if _is_complete(grid) else _least_mesh(grid, _NO_LIMIT, None)
+    return _coarsest(grid) if is_complete(grid) else _least_mesh(grid, _NO_LIMIT, None)
 
 
 def _starts(grid: Grid, required: _Mask | None) -> Iterator[_Shares]:
