@@ -474,8 +474,8 @@ def lattice_bytes(size: int) -> _Kept:
         return np.zeros((size + 1, 8 * (size // 8 + 2)), np.uint8)
     except (MemoryError, ValueError):
         raise MemoryError(
-            f"a lattice of {size + 1} × {size + 1} samples needs {(size + 1) ** 2 / 2**30:.1f} GiB, "
-            "which can't be had; coarsen windows of the grid instead"
+            f"a lattice of {size + 1} × {size + 1} samples needs {(size + 1) ** 2 / 2**30:.1f} "
+            "GiB, which can't be had; coarsen windows of the grid instead"
         ) from None
 
 
