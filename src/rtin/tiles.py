@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import groupby
 from typing import Any, Protocol
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rtin.coarsening import lattice_bytes, mesh_of_kept
 from rtin.grid import Grid, lattice_size
 
-__all__ = ["HeightLattice", "Tile", "Tiling", "checksum", "make_tiles", "settle_borders"]
+__all__ = ["HeightLattice", "Settled", "Tile", "Tiling", "checksum", "make_tiles", "settle_borders"]
 
 Span = tuple[int, int]
 Place = tuple[int, int]  # row and column of a tile
@@ -184,6 +184,26 @@ class Tiling:
                 yield place, heights[:, start : start + self.cells + 3]
 
 
+@dataclass(frozen=True)
+class Settled:
+    """What is known of a tiling once its borders are settled.
+
+    Attributes
+    ----------
+    borders : dict
+        What is kept on each border: (0 for the northern or 1 for the western one, row, column of a
+        tile) to a whole number with a bit for each node, from west or from north.
+    places : frozenset of (int, int)
+        Row and column of the tiles with any height.
+    largest_range : float
+        Largest difference of heights within a tile.
+    """
+
+    borders: Borders
+    places: frozenset[Place]
+    largest_range: float
+
+
 def checksum(
     rows: NDArray[np.integer[Any]],
     cols: NDArray[np.integer[Any]],
@@ -230,7 +250,7 @@ def settle_borders(
     *,
     executor: Executor | None = None,
     tell: Callable[[int, int], object] | None = None,
-) -> Borders:
+) -> Settled:
     """Return which vertices the mesh keeps on the borders of the tiles.
 
     Blocks of tiles are settled each by itself, then those whose neighbours keep more vertices on a
@@ -245,69 +265,80 @@ def settle_borders(
     tell : callable, optional
         Called with the number of tiles settled so far and of those in sight.
     """
-    run: Callable[..., Iterable[Borders]] = map if executor is None else executor.map
-    borders: Borders = {}
+    run: Callable[..., Iterable[Settled]] = map if executor is None else executor.map
+    whole = Settled({}, frozenset(), 0.0)
     pending = _by_block(tiling, tiling.tiles())
     done = 0
     while pending:
-        blocks = list(pending)
-        known = [_known(tiling, block, borders) for block in blocks]
-        todo = [pending[block] for block in blocks]
-        total = done + sum(map(len, todo))
+        blocks, todo = list(pending), list(pending.values())
+        known = [_known(tiling, block, whole.borders) for block in blocks]
+        in_sight = done + sum(map(len, todo))
         found: dict[Place, Borders] = {}
-        for block, result in zip(
-            blocks, run(partial(settle_block, tiling), blocks, todo, known), strict=True
-        ):
-            found[block] = result
+        parts = run(partial(settle_block, tiling), blocks, todo, known)
+        joined = dict(whole.borders)
+        for block, part in zip(blocks, parts, strict=True):
+            found[block] = part.borders
+            for edge, marks in part.borders.items():
+                joined[edge] = joined.get(edge, 0) | marks
+            whole = Settled(
+                whole.borders,
+                whole.places | part.places,
+                max(whole.largest_range, part.largest_range),
+            )
             done += len(pending[block])
             if tell is not None:
-                tell(done, total)
-        before = {edge: borders.get(edge, 0) for result in found.values() for edge in result}
-        for result in found.values():
-            for edge, marks in result.items():
-                borders[edge] = borders.get(edge, 0) | marks
-        unaware = _unaware(tiling, before, found, borders)
+                tell(done, in_sight)
+        unaware = _unaware(tiling, whole.borders, found, joined)
+        whole = replace(whole, borders=joined)
         pending = _by_block(tiling, unaware)
-    return borders
+    return whole
 
 
-def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borders) -> Borders:
+def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borders) -> Settled:
     """Settle some tiles of a block, and those of the block that they have a say in.
 
-    Returns the borders of all tiles that were looked at, with the marks ``known`` before.
+    ``known`` is what is known of all borders of the block's tiles. Returns the borders of the tiles
+    that were looked at, with more marks than before or as many.
     """
     borders = dict(known)
     tiles: dict[Place, _OpenTile] = {}
     waiting = set(places)
     unaware: deque[Place] = deque()
 
+    def open_and_exchange(place: Place, heights: NDArray[np.floating[Any]]) -> None:
+        is_void = np.isnan(heights[1:-1, 1:-1]).all()
+        tiles[place] = _OpenTile(tiling, place, heights if is_void else _filled(tiling, heights))
+        exchange(place)
+
     def exchange(place: Place) -> None:
         waiting.discard(place)
         tile, edges = tiles[place], tiling.edges(place)
         tile.keep([borders.get(edge, 0) for edge in edges])
-        for edge, neighbour, marks in zip(
-            edges, tiling.neighbours(place), tile.marks(), strict=True
-        ):
-            if marks != borders.get(edge, 0):
-                borders[edge] = marks
-                if (
-                    neighbour is not None
-                    and _block_of(tiling, neighbour) == block
-                    and neighbour not in waiting
-                ):
-                    waiting.add(neighbour)
-                    unaware.append(neighbour)
+        beyond = zip(edges, tile.marks(), tiling.neighbours(place), strict=True)
+        for edge, marks, neighbour in beyond:
+            if marks == borders.get(edge, 0):
+                continue
+            borders[edge] = marks
+            if neighbour is None or neighbour in waiting:
+                continue
+            if _block_of(tiling, neighbour) == block:
+                waiting.add(neighbour)
+                unaware.append(neighbour)
 
     for place, heights in tiling.read(places):
-        tiles[place] = _OpenTile(tiling, place, heights)
-        exchange(place)
+        open_and_exchange(place, heights)
     while unaware:
         place = unaware.popleft()
-        if place not in tiles:
-            ((_, heights),) = tiling.read([place])
-            tiles[place] = _OpenTile(tiling, place, heights)
-        exchange(place)
-    return {edge: borders[edge] for place in tiles for edge in tiling.edges(place)}
+        if place in tiles:
+            exchange(place)
+        else:
+            for _, heights in tiling.read([place]):
+                open_and_exchange(place, heights)
+    return Settled(
+        {edge: borders[edge] for place in tiles for edge in tiling.edges(place)},
+        frozenset(place for place, tile in tiles.items() if not tile.is_void),
+        max((tile.range for tile in tiles.values()), default=0.0),
+    )
 
 
 def _unaware(
@@ -372,15 +403,22 @@ def _runs(places: list[Place]) -> Iterator[list[Place]]:
 def make_tiles(tiling: Tiling, places: Iterable[Place], borders: Borders) -> Iterator[Tile]:
     """Yield tiles, row by row, given all that is kept on their borders.
 
-    Tiles without a triangle are left out: those without heights, and where ``fill`` is None those
-    with no more than voids between them.
+    Where ``fill`` is a height, tiles without any are made as well; where it is None, tiles without
+    a triangle are left out.
     """
     for place, heights in tiling.read(places):
-        tile = _OpenTile(tiling, place, heights)
+        tile = _OpenTile(tiling, place, _filled(tiling, heights))
         tile.keep([borders.get(edge, 0) for edge in tiling.edges(place)])
         made = tile.made()
         if made is not None:
             yield made
+
+
+def _filled(tiling: Tiling, heights: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return heights whose voids have the height that the tiling gives them, if any."""
+    if tiling.fill is None:
+        return heights
+    return np.where(np.isnan(heights), heights.dtype.type(tiling.fill), heights)
 
 
 class _OpenTile:
@@ -398,15 +436,17 @@ class _OpenTile:
         self._ringed = ringed
         heights = ringed[1:-1, 1:-1]
         voids = np.isnan(heights)
-        self._is_void = bool(voids.all())
-        if tiling.fill is not None and not self._is_void:
-            self._ringed = np.where(np.isnan(ringed), ringed.dtype.type(tiling.fill), ringed)
-            heights = self._ringed[1:-1, 1:-1]
-        self._is_complete = not self._is_void and (tiling.fill is not None or not voids.any())
+        self.is_void = bool(voids.all())
+        self._is_complete = not voids.any()
         self._heights = np.ascontiguousarray(heights[:, ::-1] if self._turned else heights)
         self._kept = lattice_bytes(cells)
         self._kept[::cells, : cells + 1 : cells] = 1
         self._settle(_roots(cells))
+
+    @property
+    def range(self) -> float:
+        """Difference of the highest and the lowest height; 0 where there is none."""
+        return 0.0 if self.is_void else float(np.nanmax(self._heights) - np.nanmin(self._heights))
 
     def keep(self, borders: list[int]) -> None:
         """Keep the marked vertices of the northern, southern, western and eastern border."""
@@ -424,7 +464,7 @@ class _OpenTile:
 
     def made(self) -> Tile | None:
         """Return the tile's mesh, None where it has no triangle."""
-        if self._is_void:
+        if self.is_void:
             return None
         grid = Grid(self._heights)
         try:
@@ -453,7 +493,7 @@ class _OpenTile:
     def _settle(self, work: NDArray[np.int64]) -> None:
         from rtin._kernels.coarsening import close_all, settle
 
-        if self._is_void:
+        if self.is_void:
             close_all(self._kept, work)
         elif work.size:
             shared = (self._heights, self._is_complete, self._max_error, None, self._kept, None)
