@@ -54,11 +54,16 @@ class HeightLattice(Protocol):
     crs : pyproj.CRS or None
     """
 
-    rows: Span
-    cols: Span
-    period: int | None
-    transform: Affine
-    crs: Any
+    @property
+    def rows(self) -> Span: ...
+    @property
+    def cols(self) -> Span: ...
+    @property
+    def period(self) -> int | None: ...
+    @property
+    def transform(self) -> Affine: ...
+    @property
+    def crs(self) -> Any: ...  # noqa: ANN401
 
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
         """Return the heights of a window, in C order; NaN where void or outside.
