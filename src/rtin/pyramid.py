@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,13 @@ from rtin.tiles import HeightLattice, Place, Settled, Tile, Tiling, make_tiles, 
 __all__ = ["Level", "Plan", "geometric_error", "prepare", "tolerances"]
 
 # CesiumJS: a quarter of the spacing at the equator of 65 heights along a tile of zoom 0.
-_EQUATOR = 2.0 * np.pi * 6378137.0
+_EQUATOR = 2.0 * pi * 6378137.0
 _CESIUM_QUALITY, _CESIUM_HEIGHTS = 0.25, 65
 
 
 def geometric_error(scheme: Scheme, zoom: int) -> float:
     """Return the error in metres that CesiumJS takes terrain of a zoom to have."""
-    at_zoom_0: float = _EQUATOR * _CESIUM_QUALITY / (_CESIUM_HEIGHTS * scheme.roots)
-    return at_zoom_0 / 2**zoom
+    return _EQUATOR * _CESIUM_QUALITY / (_CESIUM_HEIGHTS * scheme.roots * 2.0**zoom)
 
 
 def tolerances(

@@ -41,29 +41,27 @@ _MOST_TILES = 64
 
 
 class HeightLattice(Protocol):
-    """Heights at the nodes of a lattice of any size, read window by window.
-
-    Attributes
-    ----------
-    rows, cols : (int, int)
-        First node and the one after the last where heights may be. All else is void.
-    period : int or None
-        Columns of a lattice that goes round the world: column c and c + period are one node.
-    transform : affine.Affine
-        Maps (col, row) of a node to (x, y).
-    crs : pyproj.CRS or None
-    """
+    """Heights at the nodes of a lattice of any size, read window by window."""
 
     @property
-    def rows(self) -> Span: ...
+    def rows(self) -> Span:
+        """First row of nodes and the one after the last where heights may be; all else is void."""
+
     @property
-    def cols(self) -> Span: ...
+    def cols(self) -> Span:
+        """Likewise for columns; the end may lie beyond the period."""
+
     @property
-    def period(self) -> int | None: ...
+    def period(self) -> int | None:
+        """Columns of a lattice that goes round the world: c and c + period are one node."""
+
     @property
-    def transform(self) -> Affine: ...
+    def transform(self) -> Affine:
+        """What maps (col, row) of a node to (x, y)."""
+
     @property
-    def crs(self) -> Any: ...  # noqa: ANN401
+    def crs(self) -> Any:  # noqa: ANN401
+        """Coordinate reference system of x and y: a pyproj.CRS or None."""
 
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
         """Return the heights of a window, in C order; NaN where void or outside.
