@@ -30,6 +30,7 @@ _LARGEST = 32767
 _MOST_SHORT = 1 << 16  # vertices whose indices take two bytes
 _OCT_NORMALS = 1
 _STEPS_IN_TOLERANCE = 16
+_LEAST_STEP = 2.0**-10  # metres: float32 has its multiples up to 16384 m, the Earth's all
 _GZIP_LEVEL = 6
 
 
@@ -105,10 +106,10 @@ class QuantizedMesh:
 def height_step(tolerance: float, largest_range: float) -> float:
     """Return the step of heights: a sixteenth of the tolerance, more where the range needs it.
 
-    It is a power of two, so that heights decode exactly; ``largest_range`` is the largest
-    difference of heights within a tile.
+    It is a power of two, so that heights decode exactly, and about a millimetre at least;
+    ``largest_range`` is the largest difference of heights within a tile.
     """
-    wanted = max(tolerance, 2.0**-20) / _STEPS_IN_TOLERANCE
+    wanted = max(tolerance / _STEPS_IN_TOLERANCE, _LEAST_STEP)
     needed = largest_range / (_LARGEST - 2)
     exponent = floor(log2(wanted))
     while 2.0**exponent < needed:
