@@ -115,7 +115,7 @@ def test_neighbours_decode_their_common_vertices_to_equal_heights_and_normals(
     seed, cells, tolerance
 ):
     place, known, n_common = PLACES["the antimeridian"], {}, 0
-    step = height_step(tolerance, 200.0)
+    step = height_step(200.0)
     for tile in tiles_of(terrains.noise((17, 17), seed), cells, 6.0, place):
         for node, value in by_node(tile, checked(tile, place, step)).items():
             n_common += node in known
@@ -169,7 +169,7 @@ def test_from_the_deepest_sea_to_the_highest_peak():
     heights = np.full((9, 9), -10935.0)
     heights[4, 4] = 8848.86
     place = ("mercator", 7, 40, 100)
-    step = height_step(0.01, np.ptp(heights))
+    step = height_step(np.ptp(heights))
     (tile,) = tiles_of(heights, 8, 1.0, place)
     read = checked(tile, place, step)
     assert read.heights.min() == -10935.0
@@ -237,7 +237,7 @@ def test_a_full_block_is_one_rectangle():
 
 
 def test_tiles_are_named_from_the_south():
-    output = quantized_mesh.QuantizedMesh("geographic", {0: 1.0}, True, {}, (0, 0, 1, 1))
+    output = quantized_mesh.QuantizedMesh("geographic", True, {}, (0, 0, 1, 1))
     assert output.name(3, 0, 5) == "3/5/7.terrain"
     assert output.roots(0) == {(0, 0), (0, 1)}
     assert output.roots(1) == frozenset()
