@@ -41,24 +41,27 @@ _MOST_TILES = 64
 
 
 class HeightLattice(Protocol):
-    """Heights at the nodes of a lattice of any size, read window by window.
+    """Heights at the nodes of a lattice of any size, read window by window."""
 
-    Attributes
-    ----------
-    rows, cols : (int, int)
-        First node and the one after the last where heights may be. All else is void.
-    period : int or None
-        Columns of a lattice that goes round the world: column c and c + period are one node.
-    transform : affine.Affine
-        Maps (col, row) of a node to (x, y).
-    crs : pyproj.CRS or None
-    """
+    @property
+    def rows(self) -> Span:
+        """First row of nodes and the one after the last where heights may be; all else is void."""
 
-    rows: Span
-    cols: Span
-    period: int | None
-    transform: Affine
-    crs: Any
+    @property
+    def cols(self) -> Span:
+        """Likewise for columns; the end may lie beyond the period."""
+
+    @property
+    def period(self) -> int | None:
+        """Columns of a lattice that goes round the world: c and c + period are one node."""
+
+    @property
+    def transform(self) -> Affine:
+        """What maps (col, row) of a node to (x, y)."""
+
+    @property
+    def crs(self) -> Any:  # noqa: ANN401
+        """Coordinate reference system of x and y: a pyproj.CRS or None."""
 
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
         """Return the heights of a window, in C order; NaN where void or outside.
@@ -300,40 +303,9 @@ def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borde
     ``known`` is what is known of all borders of the block's tiles. Returns the borders of the tiles
     that were looked at, with more marks than before or as many.
     """
-    borders = dict(known)
-    tiles: dict[Place, _OpenTile] = {}
-    waiting = set(places)
-    unaware: deque[Place] = deque()
-
-    def open_and_exchange(place: Place, heights: NDArray[np.floating[Any]]) -> None:
-        is_void = np.isnan(heights[1:-1, 1:-1]).all()
-        tiles[place] = _OpenTile(tiling, place, heights if is_void else _filled(tiling, heights))
-        exchange(place)
-
-    def exchange(place: Place) -> None:
-        waiting.discard(place)
-        tile, edges = tiles[place], tiling.edges(place)
-        tile.keep([borders.get(edge, 0) for edge in edges])
-        beyond = zip(edges, tile.marks(), tiling.neighbours(place), strict=True)
-        for edge, marks, neighbour in beyond:
-            if marks == borders.get(edge, 0):
-                continue
-            borders[edge] = marks
-            if neighbour is None or neighbour in waiting:
-                continue
-            if _block_of(tiling, neighbour) == block:
-                waiting.add(neighbour)
-                unaware.append(neighbour)
-
-    for place, heights in tiling.read(places):
-        open_and_exchange(place, heights)
-    while unaware:
-        place = unaware.popleft()
-        if place in tiles:
-            exchange(place)
-        else:
-            for _, heights in tiling.read([place]):
-                open_and_exchange(place, heights)
+    open_block = _OpenBlock(tiling, block, known)
+    open_block.settle(places)
+    tiles, borders = open_block.tiles, open_block.borders
     return Settled(
         {edge: borders[edge] for place in tiles for edge in tiling.edges(place)},
         frozenset(place for place, tile in tiles.items() if not tile.is_void),
@@ -341,15 +313,64 @@ def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borde
     )
 
 
+class _OpenBlock:
+    """The tiles of a block while it is settled."""
+
+    def __init__(self, tiling: Tiling, block: Place, known: Borders) -> None:
+        self._tiling = tiling
+        self._block = block
+        self.borders = dict(known)
+        self.tiles: dict[Place, _OpenTile] = {}
+        self._waiting: set[Place] = set()
+
+    def settle(self, places: list[Place]) -> None:
+        """Settle these tiles, then all that know less than a neighbour, until none does."""
+        self._waiting.update(places)
+        unaware: deque[Place] = deque()
+        for place, heights in self._tiling.read(places):
+            self._open(place, heights)
+            unaware.extend(self._exchange(place))
+        while unaware:
+            place = unaware.popleft()
+            if place not in self.tiles:
+                for _, heights in self._tiling.read([place]):
+                    self._open(place, heights)
+            unaware.extend(self._exchange(place))
+
+    def _open(self, place: Place, heights: NDArray[np.floating[Any]]) -> None:
+        is_void = np.isnan(heights[1:-1, 1:-1]).all()
+        heights = heights if is_void else _filled(self._tiling, heights)
+        self.tiles[place] = _OpenTile(self._tiling, place, heights)
+
+    def _exchange(self, place: Place) -> Iterator[Place]:
+        """Keep what a tile's borders demand; yield the block's tiles that it demands more of."""
+        self._waiting.discard(place)
+        tile, edges = self.tiles[place], self._tiling.edges(place)
+        tile.keep([self.borders.get(edge, 0) for edge in edges])
+        beyond = zip(edges, tile.marks(), self._tiling.neighbours(place), strict=True)
+        for edge, marks, neighbour in beyond:
+            if marks == self.borders.get(edge, 0):
+                continue
+            self.borders[edge] = marks
+            if neighbour is None or neighbour in self._waiting:
+                continue
+            if _block_of(self._tiling, neighbour) == self._block:
+                self._waiting.add(neighbour)
+                yield neighbour
+
+
 def _unaware(
-    tiling: Tiling, before: Borders, found: dict[Place, Borders], borders: Borders
+    tiling: Tiling, before: Borders, found: dict[Place, Borders], joined: Borders
 ) -> list[Place]:
-    """Return the tiles with a border on which the other side keeps more vertices than they know."""
+    """Return the tiles that know less of a border than the tile on its other side.
+
+    Blocks know what they found; those that had nothing to do know what was known before.
+    """
     places = set()
-    for edge in before:
+    for edge in {edge for borders in found.values() for edge in borders}:
         for place in _beside(tiling, edge):
-            own = found.get(_block_of(tiling, place), before).get(edge, before[edge])
-            if own != borders[edge]:
+            known = found.get(_block_of(tiling, place), before)
+            if known.get(edge, before.get(edge, 0)) != joined[edge]:
                 places.add(place)
     return sorted(places)
 
