@@ -7,6 +7,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin._raster import NORTH_UP
 from rtin.tiles import checksum
 
 
@@ -16,7 +17,7 @@ class ArrayLattice:
 
     heights: NDArray[Any]
     period: int | None = None
-    transform: Affine = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+    transform: Affine = NORTH_UP
     crs: Any = None
     first: tuple[int, int] = (0, 0)
 

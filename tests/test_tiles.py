@@ -373,7 +373,7 @@ def span(tile, cells):
 def test_round_the_world_the_last_tile_is_the_firsts_neighbour(monkeypatch, n_cols, block_cells):
     monkeypatch.setattr(tiles, "_BLOCK_CELLS", block_cells)
     heights = terrains.noise((17, 8 * n_cols), seed=n_cols) / 8
-    tiling = Tiling(ArrayLattice(heights, period=8 * n_cols), 8, 60.0, (2, n_cols))
+    tiling = Tiling(ArrayLattice(heights, period=8 * n_cols), 8, 6.0, (2, n_cols))
     expected = by_coarsen(tiling)
     made = {
         (t.row, t.col): set(zip(t.rows.tolist(), t.cols.tolist(), strict=True))
