@@ -369,10 +369,13 @@ def span(tile, cells):
 
 
 @pytest.mark.parametrize("n_cols", [1, 2, 3, 4])
-@pytest.mark.parametrize("block_cells", [16, 32, 2048])
-def test_round_the_world_the_last_tile_is_the_firsts_neighbour(monkeypatch, n_cols, block_cells):
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("block_cells", [16, 2048])
+def test_round_the_world_the_last_tile_is_the_firsts_neighbour(
+    monkeypatch, n_cols, block_cells, seed
+):
     monkeypatch.setattr(tiles, "_BLOCK_CELLS", block_cells)
-    heights = terrains.noise((33, 16 * n_cols), seed=n_cols + 1) / 8
+    heights = terrains.noise((33, 16 * n_cols), seed) / 8
     tiling = Tiling(ArrayLattice(heights, period=16 * n_cols), 16, 6.0, (2, n_cols))
     expected = by_coarsen(tiling)
     made = {
