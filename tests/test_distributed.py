@@ -134,19 +134,21 @@ def dying_row(folder, tiling, borders, places):
 
 
 def test_a_worker_lost_for_good_leaves_its_work_to_the_other(tiling):
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
-    ) as local:
-        with distributed.Client(local) as client:
-            executor = ClusterExecutor(client)
-            borders = settle_borders(tiling, executor=executor).borders
-            results = executor.map(partial(slow_row, tiling, borders), rows_of(tiling))
-            first = next(results)
-            worker = local.workers[0]
-            worker.auto_restart = False
-            os.kill(worker.pid, signal.SIGKILL)
-            assert (first + sum(results)) % 2**64 == checksum(tiling, None)
-            assert len(client.nthreads()) == 1
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        executor = ClusterExecutor(client)
+        borders = settle_borders(tiling, executor=executor).borders
+        results = executor.map(partial(slow_row, tiling, borders), rows_of(tiling))
+        first = next(results)
+        local.workers[0].auto_restart = False
+        os.kill(local.workers[0].pid, signal.SIGKILL)
+        while len(client.nthreads()) == 2:
+            time.sleep(0.05)
+        assert (first + sum(results)) % 2**64 == checksum(tiling, None)
 
 
 def slow_row(tiling, borders, places):
@@ -201,22 +203,22 @@ def test_threads_of_a_worker_elsewhere_make_the_same_mesh(scheduler, worker, til
 
 def test_workers_of_another_version_are_refused(scheduler, worker, monkeypatch):
     monkeypatch.setattr("rtin.distributed.__version__", "9.9")
-    with pytest.raises(ConnectionError, match=r"runs rtin .*, this is 9\.9; install the same"):
-        with cluster(scheduler, timeout=30):
-            pass
+    error = pytest.raises(ConnectionError, match=r"runs rtin .*, this is 9\.9; install the same")
+    with error, cluster(scheduler, timeout=30):
+        pass
 
 
 def test_a_scheduler_without_workers_is_refused(scheduler):
-    with pytest.raises(ConnectionError, match="has no workers; start some: dask worker tcp://"):
-        with cluster(scheduler, timeout=0.5):
-            pass
+    error = pytest.raises(ConnectionError, match="has no workers; start some: dask worker tcp://")
+    with error, cluster(scheduler, timeout=0.5):
+        pass
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere", "nowhere:12", "", "ftp://a:1"])
 def test_a_scheduler_that_is_not_there_is_named_in_one_line(address):
-    with pytest.raises(ConnectionError, match="no Dask scheduler can be reached at") as raised:
-        with cluster(address, timeout=0.5):
-            pass
+    error = pytest.raises(ConnectionError, match="no Dask scheduler can be reached at")
+    with error as raised, cluster(address, timeout=0.5):
+        pass
     assert "\n" not in str(raised.value)
 
 
@@ -231,9 +233,8 @@ def test_a_scheduler_that_is_not_there_is_named_in_one_line(address):
     ],
 )
 def test_refuses_what_is_no_cluster(options, error, message):
-    with pytest.raises(error, match=message):
-        with cluster(**options):
-            pass
+    with pytest.raises(error, match=message), cluster(**options):
+        pass
 
 
 def test_without_dask_it_says_what_to_install():
@@ -248,18 +249,18 @@ import time
 from rtin.distributed import cluster
 
 if __name__ == "__main__":
-    with cluster(workers=2) as executor:
-        results = executor.map(time.sleep, [0, 0, 60, 60])
-        next(results)
-        print("working", flush=True)
-        try:
+    try:
+        with cluster(workers=2) as executor:
+            results = executor.map(time.sleep, [0, 0, 60, 60])
+            next(results)
+            print("working", flush=True)
             list(results)
-        except KeyboardInterrupt:
-            print("interrupted", flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
 """
 
 
-def test_ctrl_c_ends_it_at_once_and_without_a_word(tmp_path):
+def test_ctrl_c_ends_it_without_a_word(tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     with subprocess.Popen(

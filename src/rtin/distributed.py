@@ -140,7 +140,8 @@ class ClusterExecutor(Executor):
                 in_flight.extend(islice(upcoming, 1))
                 yield result
         finally:
-            self._client.cancel(list(in_flight))
+            if self._client.status == "running":
+                self._client.cancel(list(in_flight))
 
 
 def dask_setup(_worker: object) -> None:
