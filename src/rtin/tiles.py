@@ -484,11 +484,18 @@ def make_tiles(tiling: Tiling, places: Iterable[Place], borders: Borders) -> Ite
     a triangle are left out.
     """
     for place, heights in tiling.read(places):
-        tile = _OpenTile(tiling, place, _filled(tiling, heights))
-        tile.keep([borders.get(edge, 0) for edge in tiling.edges(place)])
-        made = tile.made()
-        if made is not None:
-            yield made
+        tile = make_tile(tiling, place, heights, borders)
+        if tile is not None:
+            yield tile
+
+
+def make_tile(
+    tiling: Tiling, place: Place, heights: NDArray[np.floating[Any]], borders: Borders
+) -> Tile | None:
+    """Return one tile given its heights as ``Tiling.read`` yields them; None for no triangle."""
+    tile = _OpenTile(tiling, place, _filled(tiling, heights))
+    tile.keep([borders.get(edge, 0) for edge in tiling.edges(place)])
+    return tile.made()
 
 
 def _filled(tiling: Tiling, heights: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
