@@ -160,9 +160,10 @@ def die(_value):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_work_that_kills_every_worker_ends_with_one_line(two_workers):
-    with pytest.raises(RuntimeError, match="want of memory") as raised:
-        list(two_workers.map(die, [1]))
+def test_work_that_kills_every_worker_ends_with_one_line():
+    error = pytest.raises(RuntimeError, match="want of memory")
+    with error as raised, cluster(workers=1) as executor:
+        executor.submit(die, 1).result(60)
     assert "\n" not in str(raised.value)
 
 

@@ -58,13 +58,15 @@ def cluster(
         If both are given, or ``workers`` is no whole number from 1 on.
     ConnectionError
         If the scheduler can't be reached or has no workers, or lacks this version of rtin.
+    RuntimeError
+        If one worker after another died at the same part of the work.
     """
     patience = as_number("timeout", timeout)
     if scheduler is None:
-        with _quiet(), _here(_as_count(workers)) as client:
+        with _quiet(), _here(_as_count(workers)) as client, _one_line():
             yield ClusterExecutor(client)
     elif workers is None:
-        with _quiet(), _connected(scheduler, patience) as client:
+        with _quiet(), _connected(scheduler, patience) as client, _one_line():
             _require_this_version(client, scheduler, patience)
             yield ClusterExecutor(client)
     else:
@@ -107,10 +109,10 @@ class ClusterExecutor(Executor):
 
         Raises
         ------
-        RuntimeError
-            While results are taken: if one worker after another died at the same call.
         TimeoutError
             While results are taken: if one takes until more than ``timeout`` seconds from now.
+        distributed.KilledWorker
+            While results are taken: if one worker after another died at the same call.
         Exception
             While results are taken: whatever a call raised.
         """
@@ -131,11 +133,12 @@ class ClusterExecutor(Executor):
         self._submitting.shutdown(wait=wait and not cancel_futures)
 
     def _results(
-        self, in_flight: deque[Promise], upcoming: Iterator[Promise], end: float | None
+        self, in_flight: deque[Promise[Any]], upcoming: Iterator[Promise[Any]], end: float | None
     ) -> Iterator[Any]:
         try:
             while in_flight:
-                result = _result(in_flight[0], end)
+                left = None if end is None else max(0.0, end - monotonic())
+                result = in_flight[0].result(left)
                 in_flight.popleft()
                 in_flight.extend(islice(upcoming, 1))
                 yield result
@@ -155,18 +158,6 @@ def _unchanged(function: Callable[..., Result]) -> Callable[..., Result]:
 
 def _called(arguments: tuple[Any, ...], function: Callable[..., Result]) -> Result:
     return function(*arguments)
-
-
-def _result(promise: Promise, end: float | None) -> Any:  # noqa: ANN401
-    from distributed import KilledWorker
-
-    try:
-        return promise.result(None if end is None else max(0.0, end - monotonic()))
-    except KilledWorker:
-        raise RuntimeError(
-            "one worker after another died at the same part of the work, most often for want of "
-            "memory; give each worker more, or fewer threads"
-        ) from None
 
 
 # --- clusters -----------------------------------------------------------------------------------
@@ -240,6 +231,19 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    from distributed import KilledWorker
+
+    try:
+        yield
+    except KilledWorker:
+        raise RuntimeError(
+            "one worker after another died at the same part of the work, most often for want of "
+            "memory; give each worker more, or fewer threads"
+        ) from None
 
 
 def _distributed() -> Any:  # noqa: ANN401

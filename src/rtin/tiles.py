@@ -230,7 +230,7 @@ def _require_cells(cells: object) -> None:
         raise ValueError(f"cells must be a power of two from 2 to {_MOST_CELLS}, got {cells}")
 
 
-def _require_shape(shape: object) -> None:
+def _require_shape(shape: Any) -> None:  # noqa: ANN401
     is_pair = isinstance(shape, tuple) and len(shape) == 2
     if not is_pair or not all(isinstance(n, int | np.integer) and n >= 1 for n in shape):
         raise ValueError(f"shape must be two whole numbers from 1 on, got {shape!r}")
