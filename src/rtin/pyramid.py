@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,11 @@ class Plan:
     tolerances: dict[int, float]
     fill: float | None
 
+    @property
+    def n_tiles(self) -> int:
+        """Tiles of the last zoom that may have heights."""
+        return len(self.tiling(self.lattice, max(self.tolerances)).tiles())
+
     def tiling(self, lattice: HeightLattice, zoom: int) -> Tiling:
         """Return the tiling of a zoom, given its nodes."""
         shape = 1 << zoom, self.roots << zoom
@@ -111,6 +116,10 @@ class Level:
     tiling: Tiling
     settled: Settled
     available: frozenset[Place]
+
+    def with_tiles(self, places: Iterable[Place]) -> Level:
+        """Return the same with some more tiles, which hold what fills voids."""
+        return replace(self, available=self.available.union(places))
 
     def make(self, places: Iterable[Place]) -> Iterator[Tile]:
         """Yield these tiles, as far as they are available, row by row."""

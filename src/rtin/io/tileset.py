@@ -151,7 +151,7 @@ def write_tileset(
     with _locked(state), _table(state / "tiles.sqlite") as table:
         _start(state, settings, sources, update=update)
         levels = prepare(plan, state, executor=executor, tell=_settling(plan, tell))
-        levels = {zoom: _with_roots(level, output) for zoom, level in levels.items()}
+        levels = {zoom: level.with_tiles(output.roots(zoom)) for zoom, level in levels.items()}
         rasters = blake2b(json.dumps(sources).encode(), digest_size=8).digest()
         n_made = _make_all(folder, table, levels, output, rasters, executor, tell)
         n_removed = _remove_stale(folder, table, levels, output)
@@ -164,10 +164,6 @@ def write_tileset(
 def _drawn(table: sqlite3.Connection) -> Iterator[TileRecord]:
     """Yield the tiles that have a file."""
     return (record for record in _records(table) if record.n_bytes > 0)
-
-
-def _with_roots(level: Level, output: Format) -> Level:
-    return replace(level, available=level.available | output.roots(level.zoom))
 
 
 # --- the state ----------------------------------------------------------------------------------
