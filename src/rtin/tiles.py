@@ -18,12 +18,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import groupby
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin._number import as_number
+from rtin._options import as_height
 from rtin.coarsening import lattice_bytes, mesh_of_kept
 from rtin.grid import Grid, lattice_size
 
@@ -38,6 +41,7 @@ _NORTH, _WEST = 0, 1
 # Along a side of what is settled in one go:
 _BLOCK_CELLS = 2048
 _MOST_TILES = 64
+_MOST_CELLS = 1 << 14  # a tile of so many takes a few GiB
 
 
 class HeightLattice(Protocol):
@@ -121,6 +125,14 @@ class Tiling:
     fill : float or None
         Height of void nodes in tiles that have any height. None leaves the mesh open there, as
         ``coarsen`` does.
+
+    Raises
+    ------
+    TypeError
+        If one is of the wrong kind.
+    ValueError
+        If ``cells`` is no power of two from 2 to 16384, ``max_error`` negative or NaN, ``shape``
+        empty, ``fill`` not finite, or the tiles don't go round the lattice's period.
     """
 
     lattice: HeightLattice
@@ -129,13 +141,37 @@ class Tiling:
     shape: tuple[int, int]
     fill: float | None = None
 
+    def __post_init__(self) -> None:
+        _require_cells(self.cells)
+        as_height("max_error", self.max_error)
+        _require_shape(self.shape)
+        if self.fill is not None and not isfinite(as_number("fill", self.fill)):
+            raise ValueError(f"fill must be None or a finite height, got {self.fill}")
+        period = self.lattice.period
+        if period is not None and period != self.cells * self.shape[1]:
+            raise ValueError(
+                f"tiles must fit the lattice's period of {period} columns, "
+                f"got {self.shape[1]} of {self.cells} cells"
+            )
+
     @classmethod
     def of_raster(cls, lattice: HeightLattice, cells: int, max_error: float) -> Tiling:
         """Return the tiling of a raster's own lattice, which is that of ``coarsen``.
 
         ``cells`` is the most a tile has: a smaller raster is one tile.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As ``Tiling`` does; ValueError if there are fewer than 2 × 2 nodes.
         """
-        size = lattice_size((lattice.rows[1], lattice.cols[1]))
+        _require_cells(cells)
+        n_rows, n_cols = lattice.rows[1], lattice.cols[1]
+        if min(n_rows, n_cols) < 2:
+            raise ValueError(
+                f"a lattice must have at least 2 rows and 2 columns, got {n_rows} × {n_cols}"
+            )
+        size = max(lattice_size((n_rows, n_cols)), 2)
         cells = min(cells, size)
         return cls(lattice, cells, max_error, (size // cells, size // cells))
 
@@ -185,6 +221,19 @@ class Tiling:
             for place in run:
                 start = (place[1] - first_col) * self.cells
                 yield place, heights[:, start : start + self.cells + 3]
+
+
+def _require_cells(cells: object) -> None:
+    if isinstance(cells, bool | np.bool_) or not isinstance(cells, int | np.integer):
+        raise TypeError(f"cells must be a whole number, got {cells!r}")
+    if not 2 <= cells <= _MOST_CELLS or cells & (cells - 1):
+        raise ValueError(f"cells must be a power of two from 2 to {_MOST_CELLS}, got {cells}")
+
+
+def _require_shape(shape: Any) -> None:  # noqa: ANN401
+    is_pair = isinstance(shape, tuple) and len(shape) == 2
+    if not is_pair or not all(isinstance(n, int | np.integer) and n >= 1 for n in shape):
+        raise ValueError(f"shape must be two whole numbers from 1 on, got {shape!r}")
 
 
 @dataclass(frozen=True)
@@ -349,9 +398,11 @@ class _OpenBlock:
         tile.keep([self.borders.get(edge, 0) for edge in edges])
         beyond = zip(edges, tile.marks(), self._tiling.neighbours(place), strict=True)
         for edge, marks, neighbour in beyond:
-            if marks == self.borders.get(edge, 0):
+            known = self.borders.get(edge, _ends(self._tiling))
+            # A tile that goes round the world alone has one border in the west and in the east.
+            self.borders[edge] = marks | known
+            if marks == known:
                 continue
-            self.borders[edge] = marks
             if neighbour is None or neighbour in self._waiting:
                 continue
             if _block_of(self._tiling, neighbour) == self._block:
@@ -370,9 +421,14 @@ def _unaware(
     for edge in {edge for borders in found.values() for edge in borders}:
         for place in _beside(tiling, edge):
             known = found.get(_block_of(tiling, place), before)
-            if known.get(edge, before.get(edge, 0)) != joined[edge]:
+            if known.get(edge, before.get(edge, _ends(tiling))) != joined[edge]:
                 places.add(place)
     return sorted(places)
+
+
+def _ends(tiling: Tiling) -> int:
+    """Return the marks of a border of which nothing is known: its ends are corners of tiles."""
+    return 1 | 1 << tiling.cells
 
 
 def _beside(tiling: Tiling, edge: Edge) -> Iterator[Place]:
