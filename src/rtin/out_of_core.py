@@ -22,11 +22,13 @@ large triangles.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,14 +36,16 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from rtin import _parallel
+from rtin._distinct import distinct
 from rtin._options import as_height
 from rtin._raster import moved
 from rtin.coarsening import coarsen, lattice_bytes, mesh_of_kept
+from rtin.criteria import ErrorFigures, error_by_bands
 from rtin.grid import Grid, lattice_size
 from rtin.mesh import TriangleMesh
 from rtin.tiles import Borders, HeightLattice, OpenSquare, Place, Span, Tiling, runs
 
-__all__ = ["LatticeWindow", "coarsen_lattice"]
+__all__ = ["LatticeWindow", "coarsen_lattice", "lattice_error", "memory_of_coarsen"]
 
 Tell = Callable[[float], object]
 _Heights = NDArray[np.floating[Any]]
@@ -51,6 +55,8 @@ _USUAL_CELLS, _FEWEST_CELLS = 1024, 64
 _LEAST_BLOCKS = 16  # at a time, before they are made smaller
 _USUAL_MEMORY = 1 << 30
 _MOST_NUMBERS = np.iinfo(np.int32).max
+_BYTES_OF_VERTEX = 120  # and of its two triangles
+_MOST_ROWS = 512  # of a band to measure
 _SETTLING = 0.7  # of the time
 _N_BITS = np.array([number.bit_count() for number in range(16)], np.uint8)
 
@@ -77,9 +83,10 @@ def coarsen_lattice(
     max_error : float
         As in ``coarsen``; one number.
     memory : int
-        Bytes that blocks of heights and marks may take. The mesh needs its own: 60 bytes a vertex,
-        twice that while it is put together. Marks of blocks put aside are compressed, to a few bits
-        for each vertex kept.
+        Bytes that the work may take: about half of them go to blocks of heights and marks, and
+        when these are done 120 for each vertex while the mesh is put together; the mesh itself
+        takes some 48. Marks of blocks put aside are compressed to a few bits for each vertex kept,
+        and come on top.
     cells : int, optional
         Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
         holds less than 16 such blocks. It has no influence on the result.
@@ -91,7 +98,7 @@ def coarsen_lattice(
     TypeError, ValueError
         As ``coarsen`` and ``Grid`` do; ValueError where ``cells`` is no power of two.
     MemoryError
-        If the mesh itself does not fit.
+        If the mesh itself does not fit in ``memory``.
     """
     tolerance = as_height("max_error", max_error)
     raster = _Raster(lattice)
@@ -99,12 +106,64 @@ def coarsen_lattice(
     side = _cells_within(memory, raster.itemsize) if cells is None else _as_cells(cells)
     if side >= size:
         return coarsen(raster.grid(), max_error=tolerance)
-    tell = tell or (lambda _: None)
-    blocks = _Blocks(raster, Tiling.of_raster(raster, side, tolerance), memory)
-    frame = _Frame(blocks)
-    frame.settle(lambda share: tell(_SETTLING * share))
-    parts = [frame.part(), *frame.parts(lambda share: tell(_SETTLING + (1 - _SETTLING) * share))]
-    return _joined(parts, raster)
+    tiling = Tiling.of_raster(raster, side, tolerance)
+    return _joined(_parts(raster, tiling, memory, tell or (lambda _: None)), raster)
+
+
+def memory_of_coarsen(lattice: HeightLattice) -> int:
+    """Return how many bytes ``coarsen`` of it as one grid needs, and measuring that, roughly.
+
+    The mesh is not counted.
+    """
+    raster = _Raster(lattice)
+    nodes_of_lattice = (lattice_size(raster.shape) + 1) ** 2
+    return math.prod(raster.shape) * (raster.itemsize + 3) + nodes_of_lattice * 3 // 2
+
+
+def lattice_error(
+    mesh: TriangleMesh,
+    lattice: HeightLattice,
+    *,
+    memory: int = _USUAL_MEMORY,
+    look: Callable[[NDArray[np.floating[Any]]], object] | None = None,
+    tell: Tell | None = None,
+) -> ErrorFigures:
+    """Return what ``vertical_error`` does for a raster of any size, read band by band.
+
+    The figures are the same up to the last bits of rms and mean, which are sums in another order;
+    rows and columns are counted from the first node of the lattice.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    lattice : HeightLattice
+        As in ``coarsen_lattice``; each part is read once.
+    memory : int
+        Bytes that bands may take; the mesh needs some 28 for each vertex and 4 for each triangle.
+    look : callable, optional
+        Called with the heights of each band.
+    tell : callable, optional
+        Called with the share of the work that is done.
+
+    Raises
+    ------
+    ValueError
+        If the mesh covers no valid sample.
+    """
+    raster = _Raster(lattice)
+    n_rows, n_cols = raster.shape
+    most = memory // (2 * _parallel.thread_count() * n_cols * (raster.itemsize + 8))
+    edges = [*range(0, n_rows, max(1, min(most, _MOST_ROWS))), n_rows]
+
+    def read(first: int, end: int) -> _Heights:
+        heights = raster.read((first, end), raster.cols)
+        if look is not None:
+            look(heights)
+        if tell is not None:
+            tell(first / n_rows)
+        return heights
+
+    return error_by_bands(mesh, raster.transform, list(pairwise(edges)), read)
 
 
 @dataclass(frozen=True)
@@ -155,13 +214,31 @@ def _common(within: Span, span: Span) -> Span:
     return first, max(first, min(span[1], within[1]))
 
 
+def _parts(raster: _Raster, tiling: Tiling, memory: int, tell: Tell) -> list[_Part]:
+    """Return the mesh in parts: that of the frame, then those of the blocks."""
+    blocks = _Blocks(raster, tiling, memory)
+    frame = _Frame(blocks)
+    frame.settle(lambda share: tell(_SETTLING * share))
+    parts, n_vertices = [frame.part()], 0
+    for part in frame.parts(lambda share: tell(_SETTLING + (1 - _SETTLING) * share)):
+        parts.append(part)
+        n_vertices += len(part.keys)
+        if _BYTES_OF_VERTEX * n_vertices > memory:
+            raise MemoryError(
+                f"the mesh has more than {n_vertices} vertices, of {_BYTES_OF_VERTEX} bytes each "
+                f"while it is put together, and the limit is {memory / 1e6:.4g} MB; allow a larger "
+                "error or more memory"
+            )
+    return parts
+
+
 # --- the raster ---------------------------------------------------------------------------------
 
 
 class _Raster:
     """A lattice's heights as those of a raster: the first node has row and column 0."""
 
-    period = None
+    period: int | None = None
 
     def __init__(self, lattice: HeightLattice) -> None:
         self._lattice = lattice
@@ -507,7 +584,7 @@ def _joined(parts: list[_Part], raster: _Raster) -> TriangleMesh:
         raise ValueError(
             "the grid has no triangle to keep: no three neighbouring samples of a cell have heights"
         )
-    keys = np.unique(np.concatenate([part.keys for part in parts]))
+    keys = distinct(np.concatenate([part.keys for part in parts]))
     if max(len(keys), n_triangles) > _MOST_NUMBERS:
         raise ValueError(
             f"the mesh would have {len(keys)} vertices and {n_triangles} triangles, more than "
@@ -559,7 +636,8 @@ def _directions(part: _Part) -> NDArray[np.uint8]:
         np.where(along_axis, down - right, down),
         np.where(along_axis, down + right, right),
     )
-    return (2 * (down > 0) + (right > 0)).astype(np.uint8)
+    directions: NDArray[np.uint8] = (2 * (down > 0) + (right > 0)).astype(np.uint8)
+    return directions
 
 
 # --- the door -----------------------------------------------------------------------------------
