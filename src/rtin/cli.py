@@ -21,7 +21,7 @@ import typer
 from rtin._version import __version__
 
 if TYPE_CHECKING:
-    from rtin.criteria import VerticalError
+    from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
@@ -603,7 +603,10 @@ def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMes
 
 
 def _coarsened(
-    limit: int | None, asked: dict[str, Any], dem: Path, *how: Any  # noqa: ANN401
+    limit: int | None,
+    asked: dict[str, Any],
+    dem: Path,
+    *how: Any,  # noqa: ANN401
 ) -> tuple[TriangleMesh, dict[str, Any], dict[str, Any], list[str]]:
     """Coarsen a raster, in tiles where it needs more memory than the limit.
 
@@ -641,15 +644,11 @@ def _lattice_beyond(
     without a limit given one that is asked for more than tiles can do.
     """
     from rtin._memory import as_text
-    from rtin.io.lattices import RasterLattice
-    from rtin.out_of_core import LatticeWindow, memory_of_coarsen
+    from rtin.out_of_core import memory_of_coarsen
 
-    lattice: HeightLattice
     try:
-        with warnings.catch_warnings(action="ignore"):  # to be given when it is read
-            lattice = RasterLattice(dem, band=band, encoding=encoding)
-            if window is not None:
-                lattice = LatticeWindow(lattice, (window[0], window[1]), (window[2], window[3]))
+        with warnings.catch_warnings(action="ignore"):  # said when it is read
+            lattice: HeightLattice = _open_lattice(dem, band, window, encoding)
             needed = memory_of_coarsen(lattice)
     except (OSError, ValueError, TypeError, IndexError):
         return None
@@ -663,6 +662,21 @@ def _lattice_beyond(
             "coarsened by --max-error alone; or give more --memory, or a --window"
         )
     return None
+
+
+def _open_lattice(
+    dem: Path,
+    band: int,
+    window: tuple[int, int, int, int] | None,
+    encoding: _EncodingName | None,
+) -> Any:  # noqa: ANN401
+    from rtin.io.lattices import RasterLattice
+    from rtin.out_of_core import LatticeWindow
+
+    lattice: Any = RasterLattice(dem, band=band, encoding=encoding)
+    if window is None:
+        return lattice
+    return LatticeWindow(lattice, (window[0], window[1]), (window[2], window[3]))
 
 
 def _coarsened_in_tiles(
@@ -854,7 +868,7 @@ def _counts(grid: Grid, mesh: TriangleMesh) -> dict[str, int]:
     return {"rows": rows, "cols": cols, "samples": grid.n_samples, **_mesh_counts(mesh)}
 
 
-def _achieved(error: VerticalError) -> dict[str, Any]:
+def _achieved(error: ErrorFigures) -> dict[str, Any]:
     figures: dict[str, Any] = {"max_error": error.max, "rms": error.rms, "mean": error.mean}
     return {"achieved": figures, "uncovered_samples": error.n_uncovered}
 

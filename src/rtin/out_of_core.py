@@ -26,13 +26,11 @@ import math
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 
 from rtin import _parallel
@@ -166,34 +164,29 @@ def lattice_error(
     return error_by_bands(mesh, raster.transform, list(pairwise(edges)), read)
 
 
-@dataclass(frozen=True)
 class LatticeWindow:
-    """A part of a lattice as a lattice of its own, void around ``rows`` and ``cols``."""
+    """A part of a lattice as a lattice of its own, void around ``rows`` and ``cols``.
 
-    lattice: HeightLattice
-    rows: Span
-    cols: Span
+    Raises ValueError where it leaves the lattice. Nodes keep their numbers.
+    """
 
-    @property
-    def period(self) -> None:
-        """A window does not go round the world."""
-
-    @property
-    def transform(self) -> Affine:
-        """That of the whole lattice: nodes keep their numbers."""
-        return self.lattice.transform
-
-    @property
-    def crs(self) -> Any:  # noqa: ANN401
-        """That of the whole lattice."""
-        return self.lattice.crs
+    def __init__(self, lattice: HeightLattice, rows: Span, cols: Span) -> None:
+        for part, whole in ((rows, lattice.rows), (cols, lattice.cols)):
+            if not whole[0] <= part[0] < part[1] <= whole[1]:
+                raise ValueError(
+                    f"a window must lie within rows {lattice.rows} and columns {lattice.cols}, "
+                    f"got rows {rows} and columns {cols}"
+                )
+        self.lattice, self.rows, self.cols = lattice, rows, cols
+        self.period: int | None = None
+        self.transform, self.crs = lattice.transform, lattice.crs
 
     def read(self, rows: Span, cols: Span) -> _Heights:
         """Return the heights of a window."""
-        return read_within(self.lattice, self.rows, self.cols, rows, cols)
+        return _read_within(self.lattice, self.rows, self.cols, rows, cols)
 
 
-def read_within(
+def _read_within(
     lattice: HeightLattice, within_rows: Span, within_cols: Span, rows: Span, cols: Span
 ) -> _Heights:
     """Return the heights of a window, NaN where it is outside another one."""
@@ -257,7 +250,7 @@ class _Raster:
         """Return the heights of a window, NaN where it is outside."""
         down, right = self._lattice.rows[0], self._lattice.cols[0]
         rows, cols = (rows[0] + down, rows[1] + down), (cols[0] + right, cols[1] + right)
-        return read_within(self._lattice, self._lattice.rows, self._lattice.cols, rows, cols)
+        return _read_within(self._lattice, self._lattice.rows, self._lattice.cols, rows, cols)
 
     def grid(self) -> Grid:
         """Return all of it as a grid."""

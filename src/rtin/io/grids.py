@@ -150,7 +150,7 @@ class FillValues:
             for value in fills:
                 found = inside & (heights == value)
                 inside &= ~found
-                self._counts[value] += np.count_nonzero(found)
+                self._counts[value] += int(np.count_nonzero(found))
 
     def lines(self) -> list[str]:
         """Return one line for each extreme height that looks like a nodata value."""
