@@ -34,6 +34,7 @@ _QUIET_SECONDS = 1.0
 _SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
+_GDALS_SHARE = 8  # of the memory for tiles: an eighth
 
 app = typer.Typer(
     help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
@@ -682,16 +683,20 @@ def _open_lattice(
 def _coarsened_in_tiles(
     lattice: HeightLattice, limit: int, dem: Path, max_error: float
 ) -> tuple[TriangleMesh, dict[str, Any], dict[str, Any], list[str]]:
+    import rasterio
+
     from rtin.io.grids import FillValues
     from rtin.out_of_core import coarsen_lattice, lattice_error
 
     _say_if_not_compiled()
     shape = tuple(end - first for first, end in (lattice.rows, lattice.cols))
-    with _progress_bar(f"coarsening {shape[0]} × {shape[1]} samples in tiles") as tell:
-        mesh = coarsen_lattice(lattice, max_error=max_error, memory=limit, tell=tell)
     fills = FillValues()
-    with _progress_bar("measuring the achieved error") as tell:
-        error = lattice_error(mesh, lattice, memory=limit, look=fills.look, tell=tell)
+    # GDAL would keep a twentieth of the machine's memory of what it has read.
+    with rasterio.Env(GDAL_CACHEMAX=limit // _GDALS_SHARE):
+        with _progress_bar(f"coarsening {shape[0]} × {shape[1]} samples in tiles") as tell:
+            mesh = coarsen_lattice(lattice, max_error=max_error, memory=limit, tell=tell)
+        with _progress_bar("measuring the achieved error") as tell:
+            error = lattice_error(mesh, lattice, memory=limit, look=fills.look, tell=tell)
     counts = {
         "rows": shape[0],
         "cols": shape[1],

@@ -81,9 +81,9 @@ def coarsen_lattice(
     max_error : float
         As in ``coarsen``; one number.
     memory : int
-        Bytes that the work may take: about half of them go to blocks of heights and marks, and
-        when these are done 120 for each vertex while the mesh is put together; the mesh itself
-        takes some 48. Marks of blocks put aside are compressed to a few bits for each vertex kept,
+        Bytes that the work may take: a third goes to blocks of heights and marks, another one to
+        what is being read; and when these are done, 120 for each vertex while the mesh is put
+        together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few bits for each vertex kept,
         and come on top.
     cells : int, optional
         Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
@@ -150,7 +150,7 @@ def lattice_error(
     """
     raster = _Raster(lattice)
     n_rows, n_cols = raster.shape
-    most = memory // (2 * _parallel.thread_count() * n_cols * (raster.itemsize + 8))
+    most = memory // (4 * _parallel.thread_count() * n_cols * (raster.itemsize + 8))
     edges = [*range(0, n_rows, max(1, min(most, _MOST_ROWS))), n_rows]
 
     def read(first: int, end: int) -> _Heights:
@@ -262,7 +262,7 @@ class _Raster:
         size = lattice_size(self.shape)
         if self.shape != (size + 1, size + 1):
             return False
-        step = max(1, (1 << 22) // size)
+        step = max(1, (1 << 20) // size)
         return not any(
             np.isnan(self.read((row, min(row + step, size + 1)), self.cols)).any()
             for row in range(0, size + 1, step)
@@ -279,8 +279,8 @@ class _Blocks:
         self.raster = raster
         self.tiling = tiling
         block_bytes = (tiling.cells + 1) ** 2 * (raster.itemsize + 1)
-        # Half of the memory; the other one for what is being read.
-        self._most = max(2, memory // (2 * block_bytes))
+        # A third of the memory; the rest for what is being read, and what the allocator holds.
+        self._most = max(2, memory // (3 * block_bytes))
         self.batch = max(1, self._most // 4)
         self._at_hand: OrderedDict[Place, OpenSquare] = OrderedDict()
         self._aside: dict[Place, bytes] = {}
@@ -371,7 +371,7 @@ class _Frame:
         from rtin._kernels.lattice import pack
 
         self._untested = [pack(0, self._size, 2), pack(self._size, 0, 1)]
-        place = (0, 0)
+        place, n_settled = (0, 0), 0
         while self._untested or self._waiting:
             while self._untested:
                 self._test(self._untested.pop())
@@ -379,7 +379,8 @@ class _Frame:
                 batch = self._next_batch(after=place)
                 place = batch[-1]
                 self._settle_blocks(batch)
-            tell(len(self._borders) / (len(self._borders) + 4 * len(self._waiting) + 1))
+                n_settled += len(batch)
+                tell(n_settled / (n_settled + len(self._waiting)))
 
     def _test(self, triangle: int) -> None:
         """Keep the midpoint of a triangle's hypotenuse if the triangle does not fit."""
