@@ -7,6 +7,7 @@ import os
 import re
 import threading
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from numbers import Integral
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     Part = tuple[tuple[int, int], tuple[int, int]]
     Heights = NDArray[np.floating[Any]]
 
-__all__ = ["read_grid", "suspicious_values"]
+__all__ = ["FillValues", "available_memory", "read_grid", "suspicious_values"]
 
 # Both codes are linear in the 24-bit number 65536 R + 256 G + B, so each is a scale and an offset.
 _SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1.0 / 256.0, -32768.0)}
@@ -135,20 +136,45 @@ def suspicious_values(grid: Grid) -> list[str]:
     Looks only at the lowest and the highest heights, where fill values stand: the usual numbers
     (-9999, -32768, …) and everything beyond 1e9. A true height may be among them.
     """
-    inside = ~np.isnan(grid.heights)
-    lines: list[str] = []
-    while inside.any():
-        lowest = float(grid.heights.min(where=inside, initial=np.inf))
-        highest = float(grid.heights.max(where=inside, initial=-np.inf))
-        fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
-        if not fills:
-            break
-        for value in sorted(fills):
-            found = inside & (grid.heights == value)
-            inside &= ~found
-            count = np.count_nonzero(found)
-            lines.append(f"{value:.7g} in {count} samples: undeclared nodata?")
-    return lines
+    seen = FillValues()
+    seen.look(grid.heights)
+    return seen.lines()
+
+
+class FillValues:
+    """What ``suspicious_values`` looks for, in a raster seen part by part."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[float] = Counter()
+        self._others: set[float] = set()  # the lowest and highest of the rest of each part
+
+    def look(self, heights: Heights) -> None:
+        """Look at some more heights."""
+        inside = ~np.isnan(heights)
+        while inside.any():
+            lowest = float(heights.min(where=inside, initial=np.inf))
+            highest = float(heights.max(where=inside, initial=-np.inf))
+            fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
+            if not fills:
+                self._others |= {lowest, highest}
+                break
+            for value in fills:
+                found = inside & (heights == value)
+                inside &= ~found
+                self._counts[value] += int(np.count_nonzero(found))
+
+    def lines(self) -> list[str]:
+        """Return one line for each extreme height that looks like a nodata value."""
+        values = sorted({*self._counts, *self._others})
+        lines: list[str] = []
+        while values:
+            fills = [value for value in {values[0], values[-1]} if value in self._counts]
+            if not fills:
+                break
+            for value in sorted(fills):
+                lines.append(f"{value:.7g} in {self._counts[value]} samples: undeclared nodata?")
+                values.remove(value)
+        return lines
 
 
 def _looks_like_fill(value: float) -> bool:
@@ -363,7 +389,7 @@ def _whole(value: Any) -> int:  # noqa: ANN401
 
 def _require_memory(part: Part, bytes_per_sample: int, name: str) -> None:
     rows, cols = (stop - start for start, stop in part)
-    needed, available = rows * cols * bytes_per_sample, _available_memory()
+    needed, available = rows * cols * bytes_per_sample, available_memory()
     if available is not None and needed > available:
         raise MemoryError(
             f"{name}: {rows} rows of {cols} samples need {needed / 1e9:.1f} GB of memory, "
@@ -371,7 +397,7 @@ def _require_memory(part: Part, bytes_per_sample: int, name: str) -> None:
         )
 
 
-def _available_memory() -> int | None:
+def available_memory() -> int | None:
     """Return the bytes of memory one can still take, None where the system does not tell."""
     # sysconf's free pages leave out what the file cache would give back, hence Linux's own figure.
     with suppress(OSError):

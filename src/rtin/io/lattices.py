@@ -24,7 +24,14 @@ from rtin.schemes import Scheme
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = ["GridLattice", "MissingGeoid", "RasterLattice", "WebLattice", "fingerprint", "native_zoom"]
+__all__ = [
+    "GridLattice",
+    "MissingGeoid",
+    "RasterLattice",
+    "WebLattice",
+    "fingerprint",
+    "native_zoom",
+]
 
 Span = tuple[int, int]
 Path = str | os.PathLike[str]
