@@ -15,7 +15,7 @@ import tempfile
 import time
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -40,19 +40,13 @@ class FileLattice:
     transform: Affine = Affine.identity()  # noqa: RUF009
     crs: None = None
 
-    @cached_property
-    def heights(self) -> NDArray[np.float32]:
-        return np.load(self.path, mmap_mode="r")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return FileLattice, (self.path, self.rows, self.cols)
-
     def read(self, rows: tuple[int, int], cols: tuple[int, int]) -> NDArray[np.float32]:
         window = np.full((rows[1] - rows[0], cols[1] - cols[0]), np.nan, np.float32)
         row, end_row = max(rows[0], 0), min(rows[1], self.rows[1])
         col, end_col = max(cols[0], 0), min(cols[1], self.cols[1])
         inside = window[row - rows[0] :, col - cols[0] :][: end_row - row, : end_col - col]
-        inside[...] = self.heights[row:end_row, col:end_col]
+        heights = np.load(self.path, mmap_mode="r")
+        inside[...] = heights[row:end_row, col:end_col]
         return window
 
 

@@ -516,7 +516,7 @@ def tiles(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Dask cluster to work instead, such as tcp://10.0.0.1:8786; it must see the files.",
+            help="Dask cluster to work, such as tcp://10.0.0.1:8786; it must see the same files.",
         ),
     ] = None,
     band: _Band = 1,
