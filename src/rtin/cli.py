@@ -11,7 +11,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
 from importlib import import_module
@@ -23,6 +23,8 @@ import typer
 from rtin._version import __version__
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
     from rtin.io.tile_jobs import Job
@@ -521,6 +523,13 @@ def tiles(
             metavar="N", min=1, help="Processes; as many as processors.", show_default=False
         ),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask cluster to work, such as tcp://10.0.0.1:8786; it must see the same files.",
+        ),
+    ] = None,
     band: _Band = 1,
     encoding: _Encoding = None,
     as_json: _Json = False,
@@ -531,6 +540,10 @@ def tiles(
     """
     if len(paths) < 2:
         raise typer.BadParameter("at least one raster and the folder to fill are wanted")
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("give --workers or --scheduler, not both")
+        paths = [path.absolute() for path in paths]  # its workers are in folders of their own
     *dems, out = paths
     job_of = partial(
         _tile_job, dems, kind, zoom=_zooms_of(zoom),
@@ -539,7 +552,6 @@ def tiles(
                "attribution": attribution},
     )  # fmt: skip
     with _one_line_errors():
-        from rtin import _parallel
         from rtin.io.tileset import write_tileset
 
         started = time.perf_counter()
@@ -548,14 +560,28 @@ def tiles(
         for note in job.notes:
             _say(note)
         _say_if_not_compiled()
-        number = workers or (_parallel.thread_count() if job.plan.n_tiles > _FEW_TILES else 1)
-        with _parallel.processes(number) as executor, _progress_bar(f"making {out}") as tell:
+        few = job.plan.n_tiles <= _FEW_TILES
+        with (
+            _workers(workers or (1 if few else None), scheduler) as executor,
+            _progress_bar(f"making {out}") as tell,
+        ):
             made = write_tileset(
                 out, job.plan, job.output, settings=job.settings, sources=job.sources,
                 update=update, executor=executor, tell=tell,
             )  # fmt: skip
         seconds = time.perf_counter() - started
         _report_tiles(job, dems, out, made, seconds, as_json)
+
+
+def _workers(number: int | None, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+    """Return what gives an executor: of a Dask cluster, or of processes here."""
+    if scheduler is not None:
+        from rtin.distributed import cluster
+
+        return cluster(scheduler)
+    from rtin import _parallel
+
+    return _parallel.processes(number or _parallel.thread_count())
 
 
 def _tile_job(

@@ -58,7 +58,7 @@ def cluster(
         If both are given, or ``workers`` is no whole number from 1 on.
     ConnectionError
         If the scheduler can't be reached or has no workers, or lacks this version of rtin.
-    RuntimeError
+    OSError
         If one worker after another died at the same part of the work.
     """
     patience = as_number("timeout", timeout)
@@ -240,7 +240,7 @@ def _one_line() -> Iterator[None]:
     try:
         yield
     except KilledWorker:
-        raise RuntimeError(
+        raise OSError(
             "one worker after another died at the same part of the work, most often for want of "
             "memory; give each worker more, or fewer threads"
         ) from None

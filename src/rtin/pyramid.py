@@ -83,6 +83,8 @@ class Plan:
     largest_cells : dict of int to int, optional
         ``largest_cell`` of ``Tiling`` for each zoom; by default no tile is cut without need. For
         the zooms to be nested it must not be longer, on the ground, at a finer one.
+    margin : float
+        Share of the tolerances that is left to the rounding of a file format.
     """
 
     lattice: HeightLattice
@@ -91,6 +93,7 @@ class Plan:
     tolerances: dict[int, float]
     fill: float | None
     largest_cells: dict[int, int] | None = None
+    margin: float = 0.0
 
     @property
     def n_tiles(self) -> int:
@@ -101,7 +104,8 @@ class Plan:
         """Return the tiling of a zoom, given its nodes."""
         shape = 1 << zoom, self.roots << zoom
         largest = None if self.largest_cells is None else self.largest_cells[zoom]
-        return Tiling(lattice, self.cells, self.tolerances[zoom], shape, self.fill, largest)
+        max_error = self.tolerances[zoom] * (1.0 - self.margin)
+        return Tiling(lattice, self.cells, max_error, shape, self.fill, largest)
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ def write_tileset(
         for name, content in output.index(partial(_drawn, table), plan.tolerances):
             _write(folder / name, content)
         _write_job(state, settings, sources, finished=True)
-        return Summary(_summaries(table, levels, output), n_made, n_removed)
+        return Summary(_summaries(table, plan, levels, output), n_made, n_removed)
 
 
 def _drawn(table: sqlite3.Connection) -> Iterator[TileRecord]:
@@ -423,7 +423,7 @@ def _remove_stale(
 
 
 def _summaries(
-    table: sqlite3.Connection, levels: dict[int, Level], output: Format
+    table: sqlite3.Connection, plan: Plan, levels: dict[int, Level], output: Format
 ) -> list[LevelSummary]:
     figures = table.execute(
         "SELECT zoom, max(error), sum(n_bytes > 0), sum(n_vertices), sum(n_triangles), sum(n_bytes)"
@@ -432,7 +432,7 @@ def _summaries(
     return [
         LevelSummary(
             zoom,
-            levels[zoom].tiling.max_error,
+            plan.tolerances[zoom],
             error + output.rounding(levels[zoom].settled.largest_range),
             *counts,
         )
