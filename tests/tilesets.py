@@ -12,7 +12,7 @@ from rtin import samples
 from rtin.schemes import SCHEMES
 
 CELLS = 32
-FAULT_ZOOMS = range(12)
+FAULT_ZOOMS = range(14)
 
 
 def write_fault(folder):

@@ -69,9 +69,9 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
     "img-src 'self' data:; base-uri 'none'; form-action 'none'"
 )
-# CesiumJS compiles WebAssembly, starts workers, and decodes pictures from blobs.
+# CesiumJS evaluates strings, compiles WebAssembly, starts workers, and decodes pictures from blobs.
 _CESIUM_POLICY = (
-    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; "
+    "default-src 'none'; script-src 'self' 'unsafe-eval' blob:; worker-src 'self' blob:; "
     "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob:; "
     "img-src 'self' data: blob:; font-src 'self'; base-uri 'none'; form-action 'none'"
 )

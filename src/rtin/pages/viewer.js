@@ -16,57 +16,47 @@ layout(location = 4) in float height;
 uniform mat4 camera;
 uniform vec3 centre;
 uniform float exaggeration;
-out vec3 at, above, slope;
+uniform float haze;
 out vec2 share;
-out float metres;
+out vec3 shown; // metres, brightness, clearness
 void main() {
-  at = centre + position + up * (height * exaggeration - spot.z);
+  vec3 at = centre + position + up * (height * exaggeration - spot.z);
   float rise = dot(normal, up);
-  slope = normalize((normal - up * rise) * exaggeration + up * max(rise, 1e-3));
-  above = up;
+  vec3 slope = normalize((normal - up * rise) * exaggeration + up * max(rise, 1e-3));
+  vec3 east = normalize(vec3(-up.y, up.x, 1e-9));
+  vec3 light = -.5 * east + .5 * cross(up, east) + .7071 * up; // as rtin._tint has it
+  float far = length(at) / haze;
+  shown = vec3(height, .32 + .95 * max(dot(slope, light), 0.), exp(-far * far));
   share = spot.xy;
-  metres = height;
   gl_Position = camera * vec4(at, 1.0);
 }`;
 
-// The colours of rtin._tint, and its light from the north-west, 45 degrees high.
 const FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 at, above, slope;
 in vec2 share;
-in float metres;
+in vec3 shown;
 uniform int hidden; // quadrants that finer tiles cover
 uniform vec2 range;
 uniform vec4 ink; // of lines; alpha 0: the surface
-uniform float haze;
+uniform sampler2D tint; // left half: sea floor, right half: land
 out vec4 colour;
-const vec4 LAND[7] = vec4[](vec4(.45, .58, .42, 0.), vec4(.60, .69, .47, .2), vec4(.82, .80, .58, .4),
-  vec4(.76, .63, .45, .6), vec4(.62, .50, .41, .8), vec4(.78, .75, .72, .92), vec4(.97, .97, .97, 1.));
-const vec4 SEA[3] = vec4[](vec4(.13, .27, .45, 0.), vec4(.33, .55, .72, .6), vec4(.70, .84, .90, 1.));
-vec3 tint() {
-  bool sea = range.x < 0. && range.y > 0.;
-  float shore = sea ? 0. : range.x;
-  vec3 result = LAND[0].rgb;
-  if (sea && metres < 0.) {
-    float t = 1. - metres / range.x;
-    for (int i = 0; i < 2; i++) if (t >= SEA[i].w)
-      result = mix(SEA[i].rgb, SEA[i + 1].rgb, min((t - SEA[i].w) / (SEA[i + 1].w - SEA[i].w), 1.));
-    return t < 0. ? SEA[0].rgb : result;
-  }
-  float t = (metres - shore) / max(range.y - shore, 1.);
-  for (int i = 0; i < 6; i++) if (t >= LAND[i].w)
-    result = mix(LAND[i].rgb, LAND[i + 1].rgb, min((t - LAND[i].w) / (LAND[i + 1].w - LAND[i].w), 1.));
-  return result;
-}
 void main() {
   int quadrant = int(share.x >= .5) + 2 * int(share.y >= .5);
   if ((hidden >> quadrant & 1) == 1) discard;
-  vec3 east = normalize(vec3(-above.y, above.x, 1e-9));
-  vec3 light = -.5 * east + .5 * cross(above, east) + .7071 * above;
-  vec3 lit = tint() * (.32 + .95 * max(dot(normalize(slope), light), 0.));
-  vec3 seen = ink.a > 0. ? mix(lit, ink.rgb, ink.a) : lit;
-  colour = vec4(mix(seen, vec3(.906, .933, .953), 1. - exp(-pow(length(at) / haze, 2.))), 1.);
+  bool sea = range.x < 0. && range.y > 0.;
+  float shore = sea ? 0. : range.x;
+  float part = sea && shown.x < 0. ? 1. - shown.x / range.x : 1. + (shown.x - shore) / (range.y - shore);
+  vec3 seen = texture(tint, vec2(clamp(part / 2., 0., 1.), .5)).rgb * shown.y;
+  seen = mix(seen, ink.rgb, ink.a);
+  colour = vec4(mix(vec3(.906, .933, .953), seen, shown.z), 1.);
 }`;
+
+// The colours of rtin._tint: share of the way up, red, green, blue.
+const SEA = [[0, 33, 69, 115], [0.6, 84, 140, 184], [1, 179, 214, 230]];
+const LAND = [
+  [0, 115, 148, 107], [0.2, 153, 176, 120], [0.4, 209, 204, 148], [0.6, 194, 161, 115],
+  [0.8, 158, 128, 105], [0.92, 199, 191, 184], [1, 247, 247, 247],
+];
 
 const element = (id) => document.getElementById(id);
 const canvas = element("view");
@@ -366,8 +356,24 @@ function program(gl) {
   gl.enable(gl.POLYGON_OFFSET_FILL);
   gl.polygonOffset(1, 1);
   gl.clearColor(0.906, 0.933, 0.953, 1);
+  paintTint(gl);
   const names = ["camera", "centre", "exaggeration", "hidden", "range", "ink", "haze"];
   return Object.fromEntries(names.map((name) => [name, gl.getUniformLocation(linked, name)]));
+}
+
+function paintTint(gl) {
+  const width = 1024;
+  const pixels = new Uint8Array(4 * width).fill(255);
+  for (let i = 0; i < width; i++) {
+    const [stops, t] = i < width / 2 ? [SEA, i / (width / 2 - 1)] : [LAND, (i - width / 2) / (width / 2 - 1)];
+    const k = Math.min(stops.findLastIndex(([at]) => at <= t), stops.length - 2);
+    const part = (t - stops[k][0]) / (stops[k + 1][0] - stops[k][0]);
+    for (let c = 0; c < 3; c++) pixels[4 * i + c] = stops[k][c + 1] * (1 - part) + stops[k + 1][c + 1] * part;
+  }
+  gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+  for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
 }
 
 function resize(gl) {
