@@ -24,8 +24,8 @@ if (response.ok) {
   fact("Projection", layer.projection ?? "EPSG:4326");
   if (layer.attribution) fact("Attribution", layer.attribution);
   document.getElementById("snippet").textContent =
-    `viewer.terrainProvider = await Cesium.CesiumTerrainProvider.fromUrl("${base}", {\n  requestVertexNormals: true,\n});`;
+    `viewer.terrainProvider = await Cesium.CesiumTerrainProvider.fromUrl(\n  "${base}",\n  { requestVertexNormals: true },\n);`;
 } else {
   document.getElementById("snippet").textContent =
-    `viewer.scene.primitives.add(await Cesium.Cesium3DTileset.fromUrl("${base}tileset.json"));`;
+    `viewer.scene.primitives.add(\n  await Cesium.Cesium3DTileset.fromUrl("${base}tileset.json"),\n);`;
 }

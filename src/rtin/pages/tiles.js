@@ -76,7 +76,7 @@ export function decode(buffer) {
   const size = wide ? 4 : 2;
   at = Math.ceil(at / size) * size;
   const numbers = (n) => {
-    const values = new Uint32Array(n);
+    const values = wide ? new Uint32Array(n) : new Uint16Array(n); // some writers count on wrapping
     for (let i = 0; i < n; i++, at += size) values[i] = wide ? view.getUint32(at, true) : view.getUint16(at, true);
     return values;
   };
