@@ -12,10 +12,9 @@ from rtin import samples
 from rtin.schemes import SCHEMES
 
 CELLS = 32
-FAULT_ZOOMS = range(14)
 
 
-def write_fault(folder):
+def write_fault(folder, zooms=range(14)):
     """Write tiles of the Jacksboro fault; return its heights, and how far tiles may be off.
 
     The heights are a function of longitude and latitude, the distance is in metres.
@@ -24,7 +23,7 @@ def write_fault(folder):
     west, north = grid.transform * (0, 0)
     east, south = grid.transform * (grid.shape[1] - 1, grid.shape[0] - 1)
     available = []
-    for zoom in FAULT_ZOOMS:
+    for zoom in zooms:
         rows, cols = tiles_of(zoom, west, south, east, north)
         for row in rows:
             for col in cols:
@@ -45,7 +44,7 @@ def write_fault(folder):
         "extensions": ["octvertexnormals"],
         "tiles": ["{z}/{x}/{y}.terrain"],
         "minzoom": 0,
-        "maxzoom": FAULT_ZOOMS[-1],
+        "maxzoom": zooms[-1],
         "available": available,
     }
     (folder / "layer.json").write_text(json.dumps(layer))
