@@ -15,6 +15,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+
 from tilesets import write_fault
 
 pytest.importorskip("uvicorn")
@@ -30,11 +31,11 @@ TILE = "0/0/0.terrain"
 class FakeStore:
     """Makes tiles that say which they are, as soon as it is let."""
 
-    layer = {"format": "quantized-mesh-1.0", "minzoom": 0, "maxzoom": 14}
     scheme = SCHEMES["geographic"]
     minzoom, maxzoom = 0, 14
 
     def __init__(self):
+        self.layer = {"format": "quantized-mesh-1.0", "minzoom": 0, "maxzoom": 14}
         self.made, self.let, self.lock = [], threading.Event(), threading.Lock()
         self.let.set()
 
@@ -89,7 +90,9 @@ def fault(tmp_path_factory):
 def ask(port, path, method="GET", **headers):
     """Return status, headers and body of one request; the path goes out as it is."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-    connection.request(method, "/" + path, headers={k.replace("_", "-"): v for k, v in headers.items()})
+    connection.request(
+        method, "/" + path, headers={k.replace("_", "-"): v for k, v in headers.items()}
+    )
     response = connection.getresponse()
     body = response.read()
     connection.close()
@@ -108,7 +111,9 @@ def until(condition):
 
 
 def test_a_tile_comes_gzipped_to_who_takes_gzip_and_plain_to_others(port):
-    status, headers, packed = ask(port, "3/4/5.terrain?v=1.0.0", accept_encoding="gzip, deflate, br")
+    status, headers, packed = ask(
+        port, "3/4/5.terrain?v=1.0.0", accept_encoding="gzip, deflate, br"
+    )
     assert (status, headers["content-encoding"]) == (200, "gzip")
     assert gzip.decompress(packed) == b"3 4 5" * 100
     for others in ({}, {"accept_encoding": "gzip;q=0"}, {"accept_encoding": "gzip; q=0.000, br"}):
@@ -120,7 +125,9 @@ def test_a_tile_comes_gzipped_to_who_takes_gzip_and_plain_to_others(port):
 
 
 def test_a_tile_has_the_type_that_cesium_asks_for(port):
-    wanted = "application/vnd.quantized-mesh;extensions=octvertexnormals,application/octet-stream;q=0.9"
+    wanted = (
+        "application/vnd.quantized-mesh;extensions=octvertexnormals,application/octet-stream;q=0.9"
+    )
     assert ask(port, TILE, accept=wanted)[1]["content-type"] == "application/vnd.quantized-mesh"
 
 
@@ -181,7 +188,8 @@ def assert_one_line(body):
     [
         "15/0/0.terrain", "-1/0/0.terrain", f"{10**30}/0/0.terrain", "0/2/0.terrain",
         "0/0/1.terrain", f"3/{10**30}/0.terrain", f"3/0/{'9' * 5000}.terrain", "3/-1/0.terrain",
-        "3/0x1/0.terrain", "3/1.0/0.terrain", "3/1e0/0.terrain", "3/%201/0.terrain", "3/+1/0.terrain",
+        "3/0x1/0.terrain", "3/1.0/0.terrain", "3/1e0/0.terrain", "3/%201/0.terrain",
+        "3/+1/0.terrain",
         "03/1/1.terrain", "3/١/1.terrain".encode().decode("latin-1"), "a/b/c.terrain", "//.terrain",
         "3/1/.terrain", "3/1/1.terrain/", "3/1/1.Terrain", "3/%00/1.terrain", "3/nan/1.terrain",
     ],
@@ -384,7 +392,9 @@ def test_a_folder_is_served_byte_for_byte(fault):
         for tile in fault.rglob("*.terrain"):
             path = tile.relative_to(fault).as_posix()
             assert ask(port, path, accept_encoding="gzip")[2] == tile.read_bytes()
-        assert json.loads(ask(port, "layer.json")[2]) == json.loads((fault / "layer.json").read_text())
+        assert json.loads(ask(port, "layer.json")[2]) == json.loads(
+            (fault / "layer.json").read_text()
+        )
         assert ask(port, "3/0/0.terrain")[0] == 404
 
 
@@ -480,7 +490,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path, layer, message):
 
 @pytest.mark.parametrize("name", ["", "missing"])
 def test_a_folder_without_tiles_is_refused(tmp_path, name):
-    with pytest.raises(FileNotFoundError, match="must have a layer.json or a tileset.json"):
+    with pytest.raises(FileNotFoundError, match=r"must have a layer\.json or a tileset.json"):
         serve.FolderStore(tmp_path / name)
 
 
@@ -518,10 +528,11 @@ def test_a_taken_port_is_told_with_what_to_do(store):
         serve.run(store, port=port)
 
 
-@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 70000), ("no.such.host.invalid", 0)])
-def test_an_address_that_cannot_be_is_told(store, host, port):
-    with pytest.raises(OSError, match="cannot serve on port"):
-        serve.run(store, host, port)
+def test_an_address_that_cannot_be_is_told(store):
+    with pytest.raises(OSError, match=r"cannot serve on port 0 of no\.such\.host"):
+        serve.run(store, "no.such.host.invalid", 0)
+    with pytest.raises(ValueError, match="port must be 0 to 65535, got 70000"):
+        serve.run(store, port=70000)
 
 
 @pytest.mark.parametrize("busy", [False, True])

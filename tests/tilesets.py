@@ -20,18 +20,18 @@ def write_fault(folder, zooms=range(14)):
     The heights are a function of longitude and latitude, the distance is in metres.
     """
     grid = samples.jacksboro_fault()
-    west, north = grid.transform * (0, 0)
-    east, south = grid.transform * (grid.shape[1] - 1, grid.shape[0] - 1)
+    west, north = grid.transform.c, grid.transform.f
+    east = west + grid.transform.a * (grid.shape[1] - 1)
+    south = north + grid.transform.e * (grid.shape[0] - 1)
     available = []
     for zoom in zooms:
         rows, cols = tiles_of(zoom, west, south, east, north)
         for row in rows:
             for col in cols:
                 write_tile(folder, zoom, row, col, grid)
-        last = 2**zoom - 1
-        available.append(
-            [{"startX": cols[0], "startY": last - rows[-1], "endX": cols[-1], "endY": last - rows[0]}]
-        )
+        south_row, north_row = 2**zoom - 1 - rows[-1], 2**zoom - 1 - rows[0]
+        x, y = {"startX": cols[0], "endX": cols[-1]}, {"startY": south_row, "endY": north_row}
+        available.append([x | y])
     layer = {
         "tilejson": "2.1.0",
         "name": "Jacksboro fault",
@@ -62,7 +62,8 @@ def tiles_of(zoom, west, south, east, north):
 
 def heights_of(grid, lon, lat):
     """The raster's heights, bilinear; zero around it."""
-    col, row = ~grid.transform * (np.asarray(lon), np.asarray(lat))
+    col = (np.asarray(lon) - grid.transform.c) / grid.transform.a
+    row = (np.asarray(lat) - grid.transform.f) / grid.transform.e
     height, width = grid.shape
     inside = (col >= 0) & (row >= 0) & (col <= width - 1) & (row <= height - 1)
     c, r = np.clip(col, 0, width - 1.001), np.clip(row, 0, height - 1.001)
@@ -75,9 +76,7 @@ def heights_of(grid, lon, lat):
 
 def write_tile(folder, zoom, row, col, grid):
     west, south, east, north = SCHEMES["geographic"].bounds(zoom, row, col)
-    lon, lat = np.meshgrid(
-        np.linspace(west, east, CELLS + 1), np.linspace(south, north, CELLS + 1)
-    )
+    lon, lat = np.meshgrid(np.linspace(west, east, CELLS + 1), np.linspace(south, north, CELLS + 1))
     heights = heights_of(grid, lon, lat)
     places = np.column_stack([lon.ravel(), lat.ravel(), heights.ravel()])
     a = np.arange(CELLS) + (CELLS + 1) * np.arange(CELLS)[:, np.newaxis]

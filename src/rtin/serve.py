@@ -103,10 +103,14 @@ class TileStore(Protocol):
     minzoom, maxzoom : int
     """
 
-    layer: dict[str, Any]
-    scheme: Scheme
-    minzoom: int
-    maxzoom: int
+    @property
+    def layer(self) -> dict[str, Any]: ...  # noqa: D102
+    @property
+    def scheme(self) -> Scheme: ...  # noqa: D102
+    @property
+    def minzoom(self) -> int: ...  # noqa: D102
+    @property
+    def maxzoom(self) -> int: ...  # noqa: D102
 
     def terrain(self, zoom: int, x: int, y: int) -> bytes | None:
         """Return a tile, gzipped; None where there is none. Called from several threads."""
@@ -199,10 +203,12 @@ class FolderStore:
             return found.read_bytes() if inside else None
         except FileNotFoundError:
             return None
-        except (OSError, RuntimeError, ValueError) as error:
-            if isinstance(error, OSError) and error.errno in (errno.EIO, errno.EMFILE, errno.EACCES):
-                raise
-            return None  # a name that no file can have, or links in a circle
+        except (RuntimeError, ValueError):
+            return None  # links in a circle, or a name that no file can have
+        except OSError as error:
+            if error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR):
+                return None
+            raise
 
 
 def _layer_from(path: Path) -> dict[str, Any]:
@@ -273,9 +279,10 @@ class _Workshop:
             return self._kept[key]
         job = self._jobs.get(key) or self._begin(key, make, keep)
         job.waiting += 1
-        left = asyncio.ensure_future(gone())
+        left: asyncio.Future[Any] = asyncio.ensure_future(gone())
         try:
-            await asyncio.wait({job.answer, left}, return_when=asyncio.FIRST_COMPLETED)
+            both: set[asyncio.Future[Any]] = {job.answer, left}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
             return job.answer.result() if job.answer.done() else None
         finally:
             left.cancel()
@@ -433,9 +440,7 @@ class _Tiles:
         self, request: Request, key: Hashable, make: Callable[[], bytes | None], *, keep: bool
     ) -> _Answer:
         try:
-            answer = await self._workshop.get(
-                key, make, lambda: _disconnected(request), keep=keep
-            )
+            answer = await self._workshop.get(key, make, lambda: _disconnected(request), keep=keep)
         except _Busy:
             later = {"retry-after": "1"}
             raise HTTPException(503, "too many tiles are asked for; try again", later) from None
@@ -626,7 +631,11 @@ def run(
     ------
     OSError
         If the port is taken or may not be used, or there is no such host.
+    ValueError
+        If the port is not one from 0 to 65535, or an option of ``application`` is out of range.
     """
+    if not 0 <= port <= 65535:
+        raise ValueError(f"port must be 0 to 65535, got {port}")
     server = uvicorn.Server(_config(application(tiles, **options)))
     with _listening(host, port) as listener:
         address = _address(host, listener.getsockname()[1])
@@ -657,10 +666,9 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server(place[:2], family=family, backlog=512)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        if getattr(error, "errno", None) == errno.EADDRINUSE:
-            reason = "another program uses it"
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        reason = "another program uses it" if taken else error.strerror or str(error)
         raise OSError(
             f"cannot serve on port {port} of {host}: {reason}; "
             "choose another port, or 0 for any that is free"
