@@ -135,6 +135,7 @@ class Tile {
     const normals = mesh.normals ?? normalsOf(raised, mesh.indices);
     for (let i = 0; i < count; i++) data.set(normals.subarray(3 * i, 3 * i + 3), 13 * i + 6);
     const walls = this.skirt(mesh, data);
+    this.mesh = { u: mesh.u, v: mesh.v, heights: mesh.heights };
     this.triangles = mesh.indices.length / 3;
     this.vertices = count;
     this.upload(gl, data, mesh.indices, walls);
@@ -284,7 +285,7 @@ function start(gl, layer) {
     }
     const fine = Math.max(...draw.map(([tile]) => tile.z));
     const below = draw.find(([tile]) => tile.z === fine && holds(tile, eye.lon, eye.lat));
-    const rise = below ? middle(below[0]) - eye.ground : 0;
+    const rise = below ? heightNear(below[0], eye.lon, eye.lat) - eye.ground : 0;
     if (Math.abs(rise) < eye.distance / 500) return;
     eye.ground += rise / 4;
     wake();
@@ -299,7 +300,18 @@ function start(gl, layer) {
   wake();
 }
 
-const middle = (tile) => (tile.heights[0] + tile.heights[1]) / 2;
+/** The height of the vertex nearest to a place in a tile. */
+function heightNear({ tiling, z, x, y, mesh }, lon, lat) {
+  const [[west, south], [east, north]] = [tiling.place(z, x, y, 0, 0), tiling.place(z, x, y, 1, 1)];
+  const [u, v] = [(lon - west) / (east - west), (lat - south) / (north - south)];
+  let [best, nearest] = [0, Infinity];
+  for (let i = 0; i < mesh.u.length; i++) {
+    const away = Math.hypot(mesh.u[i] - u, mesh.v[i] - v);
+    if (away < nearest) [best, nearest] = [i, away];
+  }
+  return mesh.heights[best];
+}
+
 let wake = () => {};
 
 function holds(tile, lon, lat) {
