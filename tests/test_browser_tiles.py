@@ -96,7 +96,7 @@ def test_the_viewer_loads_finer_tiles_when_it_comes_near(browser, terrain):
         visit = Visit(browser, port, "viewer.html")
         visit.until("document.body.dataset.state === 'ready' && document.body.dataset.tiles > 8")
         assert not any("/13/" in url for url in visit.asked)
-        visit.page.mouse.move(250, 200)
+        visit.page.mouse.move(400, 300)  # beside the panel
         for _ in range(3):
             visit.page.mouse.wheel(0, -600)
         visit.until("document.getElementById('counts').textContent.includes('to 13')")
