@@ -48,7 +48,8 @@ def write_fault(folder, zooms=range(14)):
         "available": available,
     }
     (folder / "layer.json").write_text(json.dumps(layer))
-    return lambda lon, lat: heights_of(grid, lon, lat), 10.0  # of triangles between nodes that are no samples
+    # the tiles' nodes are no samples of the raster: triangles between them cut its corners
+    return lambda lon, lat: heights_of(grid, lon, lat), 10.0
 
 
 def tiles_of(zoom, west, south, east, north):
