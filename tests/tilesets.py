@@ -48,8 +48,9 @@ def write_fault(folder, zooms=range(14)):
         "available": available,
     }
     (folder / "layer.json").write_text(json.dumps(layer))
-    # the tiles' nodes are no samples of the raster: triangles between them cut its corners
-    return lambda lon, lat: heights_of(grid, lon, lat), 10.0
+    # The tiles' nodes are no samples of the raster: triangles between them cut its corners, by up
+    # to 13.8 m at 400 000 random places (99 % within 5.2 m).
+    return lambda lon, lat: heights_of(grid, lon, lat), 15.0
 
 
 def tiles_of(zoom, west, south, east, north):
