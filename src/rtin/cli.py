@@ -662,6 +662,25 @@ def _report_tiles(
 
 
 @app.command()
+def serve(
+    tiles: Annotated[
+        Path, typer.Argument(metavar="TILES", help="A folder with layer.json or tileset.json.")
+    ],
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
+    cesium: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where npm has installed CesiumJS, if not here."),
+    ] = None,
+) -> None:
+    """Serve terrain tiles over HTTP, with pages that show them."""
+    with _one_line_errors():
+        from rtin import serve as server
+
+        server.run(server.FolderStore(tiles), host, port, cesium=cesium, say=_tell)
+
+
+@app.command()
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the files made.")] = Path("demo"),
     max_error: Annotated[
@@ -1343,6 +1362,10 @@ def _readable(value: Any) -> str:  # noqa: ANN401
     if isinstance(value, int):
         return f"{value:,}".replace(",", " ")
     return str(value)
+
+
+def _tell(message: str) -> None:
+    print(message, flush=True)
 
 
 def _say(message: str) -> None:
