@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.io._gltf import packed, y_up
+from rtin.io._gltf import bounds, packed, y_up
 from rtin.schemes import SCHEMES, Scheme
 from rtin.tiles import Place, Tile
 
@@ -146,11 +146,12 @@ def content(
     if step is None:
         step = position_step(scheme, zoom, float(np.ptp(heights)))
     places, normals = _vertices(tile, nodes, heights, scheme, zoom, step)
-    centre = np.rint((places.min(axis=0) + places.max(axis=0)) / 2.0)
+    low, high = bounds(places)
+    centre = np.rint((low + high) / 2.0)
     offsets = places - centre
-    if np.abs(offsets).max() > _FLOAT32_STEPS:
+    if (high - low).max() / 2.0 > _FLOAT32_STEPS - 1:
         raise ValueError(
-            f"a tile of {step * np.ptp(places):g} m has no float32 positions in steps of "
+            f"a tile of {step * (high - low).max():g} m has no float32 positions in steps of "
             f"{step:g} m; take a larger step"
         )
     uv = np.column_stack([tile.cols[nodes], tile.rows[nodes]]) / tile.cells
