@@ -1,6 +1,6 @@
-"""A decoder of quantized-mesh 1.0 terrain, from its specification alone, that checks what it reads.
+"""A decoder of quantized-mesh 1.0, from its specification alone, that checks what it reads.
 
-https://github.com/CesiumGS/quantized-mesh. Everything is slow, plain and independent of the encoder.
+https://github.com/CesiumGS/quantized-mesh. Slow, plain and independent of the encoder.
 """
 
 import struct
