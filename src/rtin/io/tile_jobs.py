@@ -185,7 +185,7 @@ def raster_tiles(
         raise ValueError("max_error is needed: the tolerance in units of the raster's heights")
     wanted = tolerances(first, last, max_error, lambda _: 0.0)
     plan = Plan(lattice, cells, 1, wanted, None)
-    output = PlainMeshes(lattice.transform, lattice.crs, extension, last)
+    output = PlainMeshes.of_lattice(lattice, extension, last)
     return _job(plan, output, {"format": extension, **raster}, names, [])
 
 
