@@ -16,6 +16,7 @@ from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -120,6 +121,53 @@ _KeepDegrees = Annotated[
 ]
 _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
 
+_Zoom = Annotated[
+    str | None,
+    typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
+]
+_MaxErrors = Annotated[
+    str | None,
+    typer.Option(
+        "--max-error",
+        metavar="HEIGHTS",
+        help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
+        "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
+    ),
+]
+_Scheme = Annotated[
+    Literal["geographic", "mercator"],
+    typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
+]
+_Cells = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
+        show_default=False,
+    ),
+]
+_Fill = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HEIGHT",
+        help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
+        show_default=False,
+    ),
+]
+_Geoid = Annotated[
+    Literal["egm2008", "egm96"] | None,
+    typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
+]
+_NoNormals = Annotated[
+    bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
+]
+_Attribution = Annotated[
+    str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
+]
+_Workers = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Processes; as many as processors.", show_default=False),
+]
 
 _interrupted = threading.Event()
 
@@ -472,57 +520,18 @@ def tiles(
             help="Quantized-mesh terrain or 3D Tiles for a globe, or a mesh file for each tile.",
         ),
     ] = "terrain",
-    zoom: Annotated[
-        str | None,
-        typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
-    ] = None,
-    max_error: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHTS",
-            help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
-            "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
-        ),
-    ] = None,
-    scheme: Annotated[
-        Literal["geographic", "mercator"],
-        typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
-    ] = "geographic",
-    cells: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
-            show_default=False,
-        ),
-    ] = None,
-    fill: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHT",
-            help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
-            show_default=False,
-        ),
-    ] = None,
-    geoid: Annotated[
-        Literal["egm2008", "egm96"] | None,
-        typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
-    ] = None,
-    no_normals: Annotated[
-        bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
-    ] = False,
-    attribution: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
-    ] = None,
+    zoom: _Zoom = None,
+    max_error: _MaxErrors = None,
+    scheme: _Scheme = "geographic",
+    cells: _Cells = None,
+    fill: _Fill = None,
+    geoid: _Geoid = None,
+    no_normals: _NoNormals = False,
+    attribution: _Attribution = None,
     update: Annotated[
         bool, typer.Option("--update", help="Make anew what a changed raster touches.")
     ] = False,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=1, help="Processes; as many as processors.", show_default=False
-        ),
-    ] = None,
+    workers: _Workers = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -663,8 +672,11 @@ def _report_tiles(
 
 @app.command()
 def serve(
-    tiles: Annotated[
-        Path, typer.Argument(metavar="TILES", help="A folder with layer.json or tileset.json.")
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TILES|DEM...", help="A folder that rtin tiles has filled, or rasters."
+        ),
     ],
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
@@ -672,12 +684,47 @@ def serve(
         Path | None,
         typer.Option(metavar="FOLDER", help="Where npm has installed CesiumJS, if not here."),
     ] = None,
+    zoom: _Zoom = None,
+    max_error: _MaxErrors = None,
+    scheme: _Scheme = "geographic",
+    cells: _Cells = None,
+    fill: _Fill = None,
+    geoid: _Geoid = None,
+    no_normals: _NoNormals = False,
+    attribution: _Attribution = None,
+    workers: _Workers = None,
+    band: _Band = 1,
+    encoding: _Encoding = None,
 ) -> None:
-    """Serve terrain tiles over HTTP, with pages that show them."""
-    with _one_line_errors():
+    """Serve terrain tiles over HTTP, with pages that show them.
+
+    The tiles of rasters are made when they are asked for, and are those that rtin tiles would
+    write. Options from --zoom on are for rasters.
+    """
+    with _one_line_errors(), ExitStack() as stack:
         from rtin import serve as server
 
-        server.run(server.FolderStore(tiles), host, port, cesium=cesium, say=_tell)
+        if len(paths) == 1 and paths[0].is_dir():
+            server.run(server.FolderStore(paths[0]), host, port, cesium=cesium, say=_tell)
+            return
+        from rtin.io.live_tiles import LiveTiles
+
+        job = _tile_job(
+            paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
+            cells=cells, band=band, encoding=encoding,
+            world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
+                   "attribution": attribution},
+        )  # fmt: skip
+        for note in job.notes:
+            _say(note)
+        _say_if_not_compiled()
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="rtin-serve-")))
+        with (
+            _workers(workers or (1 if job.plan.n_tiles <= _FEW_TILES else None), None) as executor,
+            _progress_bar(f"preparing {_listed(paths)}") as tell,
+        ):
+            live = LiveTiles(job, folder, executor=executor, tell=tell)
+        server.run(live, host, port, cesium=cesium, say=_tell)
 
 
 @app.command()

@@ -20,7 +20,8 @@ __all__ = ["Job", "raster_tiles", "world_tiles"]
 _CELLS_OF_WORLD = 64  # as CesiumJS takes terrain to have
 _CELLS_OF_RASTER = 1024
 _DEEPEST = 24
-_ROUNDING = 1.0 / 32.0  # of the tolerance: 15 bits of height within a tile take less, as a rule
+# Of the tolerance: 15 bits of height within a tile take less, as a rule, and 24 bits much less.
+_ROUNDING = {"terrain": 1.0 / 32.0, "3dtiles": 1.0 / 256.0}
 _PIXELS = 0.5  # of error, for each pixel that CesiumJS lets terrain be off
 
 Zooms = tuple[int | None, int | None]
@@ -117,8 +118,7 @@ def world_tiles(
         fill = 0.0 if kind == "terrain" else None
     wanted = dict(sorted(wanted.items()))
     largest = {zoom: _largest_cell(the_scheme, zoom, cells, wanted[zoom]) for zoom in wanted}
-    margin = _ROUNDING if kind == "terrain" else 0.0
-    plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest, margin)
+    plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest, _ROUNDING[kind])
     if last > native:
         notes.append(f"zoom {native} has all that the rasters hold; finer ones add tiles only")
     output = _format(kind, scheme, plan, normals, about or {})

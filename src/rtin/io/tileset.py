@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import write_bytes
-from rtin.pyramid import Level, Plan, prepare
+from rtin.pyramid import Level, Plan, prepare, shares
 from rtin.tiles import Borders, Place, Tile, Tiling, make_tile
 
 __all__ = ["Format", "LevelSummary", "Summary", "TileRecord", "write_tileset"]
@@ -150,7 +150,8 @@ def write_tileset(
     state = _opened(folder, settings)
     with _locked(state), _table(state / "tiles.sqlite") as table:
         _start(state, settings, sources, update=update)
-        levels = prepare(plan, state, executor=executor, tell=_settling(plan, tell))
+        heard = shares(plan, lambda share: tell(_SETTLING_SHARE * share))
+        levels = prepare(plan, state, executor=executor, tell=heard)
         levels = {zoom: level.with_tiles(output.roots(zoom)) for zoom, level in levels.items()}
         rasters = blake2b(json.dumps(sources).encode(), digest_size=8).digest()
         n_made = _make_all(folder, table, levels, output, rasters, executor, tell)
@@ -438,19 +439,6 @@ def _summaries(
         )
         for zoom, error, *counts in figures
     ]
-
-
-def _settling(plan: Plan, tell: Callable[[float], object]) -> Callable[[int, int, int], object]:
-    """Return what turns the tiles settled of a zoom into a share of all work."""
-    last = max(plan.tolerances)
-    weights = {zoom: 4.0 ** (zoom - last) for zoom in plan.tolerances}
-    whole = sum(weights.values())
-
-    def heard(zoom: int, done: int, in_sight: int) -> None:
-        finer = sum(weight for other, weight in weights.items() if other > zoom)
-        tell(_SETTLING_SHARE * (finer + weights[zoom] * done / in_sight) / whole)
-
-    return heard
 
 
 def _run(
