@@ -727,15 +727,15 @@ def test_every_kind_of_raster_is_measured_against_the_memory(tmp_path, monkeypat
         np.save(path, RAMP)
     else:
         write_raster(path, encode(RAMP, 0.1, -10000.0) if suffix == "png" else RAMP)
-    monkeypatch.setattr(grids, "_available_memory", lambda: 10)
+    monkeypatch.setattr(grids, "available_memory", lambda: 10)
     with pytest.raises(MemoryError, match="need"):
         read_grid(path)
-    monkeypatch.setattr(grids, "_available_memory", lambda: None)
+    monkeypatch.setattr(grids, "available_memory", lambda: None)
     assert read_grid(path).n_samples
 
 
-def test_available_memory_is_a_number_of_bytes_or_unknown():
-    available = grids._available_memory()
+def testavailable_memory_is_a_number_of_bytes_or_unknown():
+    available = grids.available_memory()
     assert available is None or available > 1 << 20
 
 

@@ -25,13 +25,14 @@ from rtin._version import __version__
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from rtin.criteria import VerticalError
+    from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
     from rtin.io.tile_jobs import Job
     from rtin.io.tileset import Summary
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
     from rtin.studies.comparison import Method
+    from rtin.tiles import HeightLattice
 
 __all__ = ["app", "main"]
 
@@ -40,6 +41,7 @@ _SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
 _FEW_TILES = 1000  # are made sooner than other processes are started
+_GDALS_SHARE = 8  # of the memory for tiles: an eighth
 
 app = typer.Typer(
     help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
@@ -174,6 +176,15 @@ def coarsen(
         ),
     ] = None,
     keep_degrees: _KeepDegrees = False,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE",
+            help="Read a raster that needs more than this in tiles, to the same mesh: 500MB, 2GB, "
+            "1.5GiB; by default half of what is at hand.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: _Json = False,
 ) -> None:
     """Coarsen a raster to a mesh."""
@@ -189,26 +200,26 @@ def coarsen(
     asked |= {name: value for name, value in chosen.items() if value != _USUAL[name]}
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
+    limit = None if memory is None else _as_bytes("--memory", memory)
     with _one_line_errors():
         from rtin.io.meshes import placement_of, write_mesh
 
         _require_writable(out, dem)
         started = time.perf_counter()
-        grid = _read_grid(dem, band, window, encoding)
-        mesh, error = _coarsen_and_measure(grid, asked)
+        mesh, counts, achieved, notes = _coarsened(limit, asked, dem, band, window, encoding)
         with _progress(f"writing {out}"):
             write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)
         summary = {
             "input": str(dem),
             "output": str(out),
-            **_counts(grid, mesh),
+            **counts,
             "asked": asked,
-            **_achieved(error),
+            **achieved,
             "bytes": out.stat().st_size,
             "seconds": round(time.perf_counter() - started, 3),
         }
         placed = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees)
-        summary["notes"] = [*filter(None, [placed.note]), *_warnings_about(grid)]
+        summary["notes"] = [*filter(None, [placed.note]), *notes]
         _report(summary, as_json)
 
 
@@ -800,6 +811,110 @@ def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMes
     return mesh, _measured(mesh, grid)
 
 
+def _coarsened(
+    limit: int | None,
+    asked: dict[str, Any],
+    dem: Path,
+    *how: Any,  # noqa: ANN401
+) -> tuple[TriangleMesh, dict[str, Any], dict[str, Any], list[str]]:
+    """Coarsen a raster, in tiles where it needs more memory than the limit.
+
+    Returns the mesh, counts and figures for the summary, and notes.
+    """
+    lattice = _lattice_beyond(limit, asked, dem, *how)
+    if lattice is not None:
+        return _coarsened_in_tiles(lattice, _limit_or_usual(limit), dem, asked["max_error"])
+    grid = _read_grid(dem, *how)
+    mesh, error = _coarsen_and_measure(grid, asked)
+    return mesh, _counts(grid, mesh), _achieved(error), _warnings_about(grid)
+
+
+def _limit_or_usual(limit: int | None) -> int:
+    """Return the memory that a raster may need: half of that at hand, if no limit is given."""
+    from rtin.io.grids import available_memory
+
+    if limit is not None:
+        return limit
+    available = available_memory()
+    return sys.maxsize if available is None else available // 2
+
+
+def _lattice_beyond(
+    limit: int | None,
+    asked: dict[str, Any],
+    dem: Path,
+    band: int,
+    window: tuple[int, int, int, int] | None,
+    encoding: _EncodingName | None,
+) -> HeightLattice | None:
+    """Return a raster that is to be coarsened in tiles, None for one to be read as a whole.
+
+    That is one that fits in memory, one that can't be opened, for ``read_grid`` to say why, and
+    without a limit given one that is asked for more than tiles can do.
+    """
+    from rtin._memory import as_text
+    from rtin.out_of_core import memory_of_coarsen
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # said when it is read
+            lattice: HeightLattice = _open_lattice(dem, band, window, encoding)
+            needed = memory_of_coarsen(lattice)
+    except (OSError, ValueError, TypeError, IndexError):
+        return None
+    if needed <= _limit_or_usual(limit):
+        return None
+    if asked.keys() == {"max_error"}:
+        return lattice
+    if limit is not None:
+        raise MemoryError(
+            f"{dem} needs {as_text(needed)}, and the limit is {as_text(limit)}: in tiles it can be "
+            "coarsened by --max-error alone; or give more --memory, or a --window"
+        )
+    return None
+
+
+def _open_lattice(
+    dem: Path,
+    band: int,
+    window: tuple[int, int, int, int] | None,
+    encoding: _EncodingName | None,
+) -> Any:  # noqa: ANN401
+    from rtin.io.lattices import RasterLattice
+    from rtin.out_of_core import LatticeWindow
+
+    lattice: Any = RasterLattice(dem, band=band, encoding=encoding)
+    if window is None:
+        return lattice
+    return LatticeWindow(lattice, (window[0], window[1]), (window[2], window[3]))
+
+
+def _coarsened_in_tiles(
+    lattice: HeightLattice, limit: int, dem: Path, max_error: float
+) -> tuple[TriangleMesh, dict[str, Any], dict[str, Any], list[str]]:
+    import rasterio
+
+    from rtin.io.grids import FillValues
+    from rtin.out_of_core import coarsen_lattice, lattice_error
+
+    _say_if_not_compiled()
+    shape = tuple(end - first for first, end in (lattice.rows, lattice.cols))
+    fills = FillValues()
+    # GDAL would keep a twentieth of the machine's memory of what it has read.
+    with rasterio.Env(GDAL_CACHEMAX=limit // _GDALS_SHARE):
+        with _progress_bar(f"coarsening {shape[0]} × {shape[1]} samples in tiles") as tell:
+            mesh = coarsen_lattice(lattice, max_error=max_error, memory=limit, tell=tell)
+        with _progress_bar("measuring the achieved error") as tell:
+            error = lattice_error(mesh, lattice, memory=limit, look=fills.look, tell=tell)
+    counts = {
+        "rows": shape[0],
+        "cols": shape[1],
+        "samples": error.n_samples + error.n_uncovered,
+        **_mesh_counts(mesh),
+    }
+    notes = [f"{dem.name} was read in tiles: as a whole it would need more than the memory allowed"]
+    return mesh, counts, _achieved(error), [*notes, *fills.lines(), *_warnings_about_crs(mesh.crs)]
+
+
 def _say_if_not_compiled(module: str = "rtin.coarsening", seconds: int = 15) -> None:
     if not import_module(module).is_compiled():
         _say(f"first run: compiling, which takes some {seconds} seconds, once for this machine")
@@ -887,12 +1002,15 @@ def _warnings_about(grid: Grid) -> list[str]:
     """Return a line for each thing about a raster that its mesh will not show by itself."""
     from rtin.io.grids import suspicious_values
 
-    notes = suspicious_values(grid)
-    if grid.crs is None:
-        notes.append("the raster has no CRS: x and y are taken to be in the unit of the heights")
-    elif grid.crs.to_epsg() == 3857:
-        notes.append("EPSG:3857 is not to scale: reproject the raster for true proportions")
-    return notes
+    return [*suspicious_values(grid), *_warnings_about_crs(grid.crs)]
+
+
+def _warnings_about_crs(crs: Any) -> list[str]:  # noqa: ANN401  (pyproj is imported where needed)
+    if crs is None:
+        return ["the raster has no CRS: x and y are taken to be in the unit of the heights"]
+    if crs.to_epsg() == 3857:
+        return ["EPSG:3857 is not to scale: reproject the raster for true proportions"]
+    return []
 
 
 def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[str, Any]:
@@ -963,7 +1081,7 @@ def _counts(grid: Grid, mesh: TriangleMesh) -> dict[str, int]:
     return {"rows": rows, "cols": cols, "samples": grid.n_samples, **_mesh_counts(mesh)}
 
 
-def _achieved(error: VerticalError) -> dict[str, Any]:
+def _achieved(error: ErrorFigures) -> dict[str, Any]:
     figures: dict[str, Any] = {"max_error": error.max, "rms": error.rms, "mean": error.mean}
     return {"achieved": figures, "uncovered_samples": error.n_uncovered}
 
@@ -1144,6 +1262,15 @@ def _require_criterion_of(asked: dict[str, Any], norm: str) -> None:
 
 def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
+
+
+def _as_bytes(flag: str, text: str) -> int:
+    from rtin._memory import as_bytes
+
+    try:
+        return as_bytes(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{flag}: {error}") from None
 
 
 def _require_positive(flag: str, value: float | None) -> None:

@@ -6,19 +6,21 @@ terrain meshes". ``vertical_error`` measures what a mesh achieves, whatever made
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin.grid import Grid, lattice_size, require_grid
+from rtin.grid import Grid, lattice_size, places_in, require_grid
 from rtin.mesh import TriangleMesh, require_mesh
 
-__all__ = ["VerticalError", "vertex_errors", "vertical_error"]
+__all__ = ["ErrorFigures", "VerticalError", "vertex_errors", "vertical_error"]
 
 
 def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
@@ -58,7 +60,7 @@ def vertex_errors(heights: ArrayLike | Grid) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True)
-class VerticalError:
+class ErrorFigures:
     """How far a mesh is from a raster, measured upright at every valid sample.
 
     Attributes
@@ -71,8 +73,6 @@ class VerticalError:
         Valid samples that the mesh covers.
     n_uncovered : int
         Valid samples without any surface above or below; they enter no figure.
-    field : ndarray of float64, shape (rows, cols)
-        surface - sample, computed when first asked for; NaN where there is no sample or no surface.
     """
 
     max: float
@@ -81,6 +81,20 @@ class VerticalError:
     sample: tuple[int, int]
     n_samples: int
     n_uncovered: int
+
+
+@dataclass(frozen=True)
+class VerticalError(ErrorFigures):
+    """How far a mesh is from a grid: the figures, and a map.
+
+    Attributes
+    ----------
+    max, rms, mean, sample, n_samples, n_uncovered
+        As in ``ErrorFigures``: of abs(surface - sample) at every valid sample.
+    field : ndarray of float64, shape (rows, cols)
+        surface - sample, computed when first asked for; NaN where there is no sample or no surface.
+    """
+
     _mesh: TriangleMesh
     _grid: Grid
 
@@ -116,6 +130,37 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     require_grid(grid)
     require_mesh(mesh)
     parts = _parallel.run(_statistics_of_band, _bands_of(mesh, grid))
+    return VerticalError(**_figures(parts), _mesh=mesh, _grid=grid)
+
+
+def error_by_bands(
+    mesh: TriangleMesh,
+    transform: Affine,
+    rows: list[tuple[int, int]],
+    read: Callable[[int, int], NDArray[np.floating[Any]]],
+) -> ErrorFigures:
+    """Return the figures of ``vertical_error`` for a raster of which no more than bands are read.
+
+    ``rows`` are the first row of each band and the one after its last; ``read`` returns the heights
+    between these, and is called by one thread, for as many bands at a time as there are threads.
+    """
+    places, z = (
+        places_in(transform, mesh.vertices[:, :2]),
+        np.ascontiguousarray(mesh.vertices[:, 2]),
+    )
+    bands = members_by_band(places, mesh.triangles, rows)
+    step, parts = _parallel.thread_count(), []
+    for i in range(0, len(bands), step):
+        group = [
+            (_Band(first, read(first, end), places, z, mesh.triangles, members),)
+            for first, end, members in bands[i : i + step]
+        ]
+        parts += _parallel.run(_statistics_of_band, group)
+    return ErrorFigures(**_figures(parts))
+
+
+def _figures(parts: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """Return the attributes of ``ErrorFigures`` of a raster, from statistics of its bands."""
     n_samples, n_uncovered = (sum(part[i] for part in parts) for i in (0, 1))
     total, total_of_squares = (sum(part[i] for part in parts) for i in (2, 3))
     worst = max(parts, key=lambda part: part[4])
@@ -123,16 +168,14 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
         raise ValueError(
             "the mesh covers no sample of the grid; bring both into the same coordinates"
         )
-    return VerticalError(
-        max=float(worst[4]),
-        rms=float(np.sqrt(total_of_squares / n_samples)),
-        mean=float(total / n_samples),
-        sample=(int(worst[5]), int(worst[6])),
-        n_samples=n_samples,
-        n_uncovered=n_uncovered,
-        _mesh=mesh,
-        _grid=grid,
-    )
+    return {
+        "max": float(worst[4]),
+        "rms": float(np.sqrt(total_of_squares / n_samples)),
+        "mean": float(total / n_samples),
+        "sample": (int(worst[5]), int(worst[6])),
+        "n_samples": n_samples,
+        "n_uncovered": n_uncovered,
+    }
 
 
 @dataclass(frozen=True)
@@ -149,19 +192,22 @@ class _Band:
 
 def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
     places, z = grid.places(mesh.vertices[:, :2]), np.ascontiguousarray(mesh.vertices[:, 2])
+    rows = _parallel.row_bands(grid.shape[0])
     return [
         (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members),)
-        for first, end, members in members_by_band(places, mesh.triangles, grid.shape[0])
+        for first, end, members in members_by_band(places, mesh.triangles, rows)
     ]
 
 
 def members_by_band(
-    places: NDArray[np.float64], triangles: NDArray[np.int32], n_rows: int
+    places: NDArray[np.float64], triangles: NDArray[np.int32], rows: list[tuple[int, int]]
 ) -> list[tuple[int, int, NDArray[np.int32]]]:
-    """Return bands of rows: the first, the one after the last, and the triangles that reach in."""
+    """Return bands of rows: the first, the one after the last, and the triangles that reach in.
+
+    The bands follow each other from row 0 to the last.
+    """
     from rtin._kernels.criteria import count_by_band, fill_by_band
 
-    rows = _parallel.row_bands(n_rows)
     band_of_row = np.repeat(np.arange(len(rows)), [end - first for first, end in rows])
     shares = _parallel.row_bands(len(triangles))
     common = [(places, triangles, *share, band_of_row) for share in shares]

@@ -127,9 +127,10 @@ def _samples_of(mesh: TriangleMesh, grid: Grid, allowed: _Tolerance) -> _Samples
 
     places, heights = grid.places(mesh.vertices[:, :2]), grid.heights
     owners = np.full(grid.shape, -1, np.int32)
+    rows = _parallel.row_bands(grid.shape[0])
     tasks = [
         (places, mesh.triangles, members, first, owners[first:end])
-        for first, end, members in members_by_band(places, mesh.triangles, grid.shape[0])
+        for first, end, members in members_by_band(places, mesh.triangles, rows)
     ]
     _parallel.run(fill_owners, tasks)
     starts = np.empty(mesh.n_triangles + 1, np.int64)

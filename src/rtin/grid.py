@@ -118,15 +118,7 @@ class Grid:
         Points closer than a millionth of a cell to a sample's place are taken to be at it. Raises
         ValueError for an array of another shape.
         """
-        from rtin._kernels.grid import fill_places
-
-        points = np.asarray(xy, np.float64, order="C")
-        if points.ndim != 2 or points.shape[1] != 2:
-            raise ValueError(f"points must have shape (n, 2), got {points.shape}")
-        transform, places = np.array(tuple(self.transform)[:6]), np.empty(points.shape)
-        bands = _parallel.row_bands(len(points))
-        _parallel.run(fill_places, [(points, transform, _SNAP, *band, places) for band in bands])
-        return places
+        return places_in(self.transform, xy)
 
     def heights_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the height at each point of the world: exact at samples, bilinear between them.
@@ -160,6 +152,19 @@ class Grid:
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]
         voids = ", with voids" if self.has_voids else ""
         return f"<Grid {rows} × {cols} {self.heights.dtype}{voids}, {crs}>"
+
+
+def places_in(transform: Affine, xy: ArrayLike) -> NDArray[np.float64]:
+    """Return row and column, with fractions, of points on the lattice of a transform."""
+    from rtin._kernels.grid import fill_places
+
+    points = np.asarray(xy, np.float64, order="C")
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points must have shape (n, 2), got {points.shape}")
+    numbers, places = np.array(tuple(transform)[:6]), np.empty(points.shape)
+    bands = _parallel.row_bands(len(points))
+    _parallel.run(fill_places, [(points, numbers, _SNAP, *band, places) for band in bands])
+    return places
 
 
 def lattice_size(shape: tuple[int, int]) -> int:

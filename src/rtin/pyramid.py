@@ -18,13 +18,13 @@ import numpy as np
 
 from rtin._atomic import replacing
 from rtin._decimated import DecimatedLattice, Recording
-from rtin.schemes import Scheme
+from rtin.schemes import EQUATORIAL_RADIUS, Scheme
 from rtin.tiles import HeightLattice, Place, Settled, Tile, Tiling, make_tiles, settle_borders
 
 __all__ = ["Level", "Plan", "geometric_error", "prepare", "tolerances"]
 
 # CesiumJS: a quarter of the spacing at the equator of 65 heights along a tile of zoom 0.
-_EQUATOR = 2.0 * pi * 6378137.0
+_EQUATOR = 2.0 * pi * EQUATORIAL_RADIUS
 _CESIUM_QUALITY, _CESIUM_HEIGHTS = 0.25, 65
 
 
@@ -80,6 +80,9 @@ class Plan:
         Largest vertical distance of a node from the mesh, for each zoom wanted.
     fill : float or None
         As in ``Tiling``.
+    largest_cells : dict of int to int, optional
+        ``largest_cell`` of ``Tiling`` for each zoom; by default no tile is cut without need. For
+        the zooms to be nested it must not be longer, on the ground, at a finer one.
     """
 
     lattice: HeightLattice
@@ -87,6 +90,7 @@ class Plan:
     roots: int
     tolerances: dict[int, float]
     fill: float | None
+    largest_cells: dict[int, int] | None = None
 
     @property
     def n_tiles(self) -> int:
@@ -96,7 +100,8 @@ class Plan:
     def tiling(self, lattice: HeightLattice, zoom: int) -> Tiling:
         """Return the tiling of a zoom, given its nodes."""
         shape = 1 << zoom, self.roots << zoom
-        return Tiling(lattice, self.cells, self.tolerances[zoom], shape, self.fill)
+        largest = None if self.largest_cells is None else self.largest_cells[zoom]
+        return Tiling(lattice, self.cells, self.tolerances[zoom], shape, self.fill, largest)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from itertools import groupby
 from math import isfinite
 from typing import Any, Protocol
@@ -125,6 +125,9 @@ class Tiling:
     fill : float or None
         Height of void nodes in tiles that have any height. None leaves the mesh open there, as
         ``coarsen`` does.
+    largest_cell : int or None
+        A power of two: nodes at its multiples are kept whatever the error, as where straight edges
+        must follow a round globe. None keeps the corners of tiles only.
 
     Raises
     ------
@@ -140,6 +143,7 @@ class Tiling:
     max_error: float
     shape: tuple[int, int]
     fill: float | None = None
+    largest_cell: int | None = None
 
     def __post_init__(self) -> None:
         _require_cells(self.cells)
@@ -213,7 +217,7 @@ class Tiling:
 
     def read(self, places: Iterable[Place]) -> Iterator[tuple[Place, NDArray[np.floating[Any]]]]:
         """Yield the heights of tiles, each with a ring of one node more; tiles come row by row."""
-        for run in _runs(sorted(places)):
+        for run in runs(sorted(places)):
             (row, first_col), last_col = run[0], run[-1][1]
             rows = (row * self.cells - 1, (row + 1) * self.cells + 2)
             cols = (first_col * self.cells - 1, (last_col + 1) * self.cells + 2)
@@ -468,7 +472,7 @@ def _known(tiling: Tiling, block: Place, borders: Borders) -> Borders:
     return {edge: borders[edge] for edge in edges if edge in borders}
 
 
-def _runs(places: list[Place]) -> Iterator[list[Place]]:
+def runs(places: list[Place]) -> Iterator[list[Place]]:
     """Yield neighbours in a row, as many as come one after the other."""
     for _, run in groupby(enumerate(places), lambda item: (item[1][0], item[1][1] - item[0])):
         yield [place for _, place in run]
@@ -505,7 +509,71 @@ def _filled(tiling: Tiling, heights: NDArray[np.floating[Any]]) -> NDArray[np.fl
     return np.where(np.isnan(heights), heights.dtype.type(tiling.fill), heights)
 
 
-class _OpenTile:
+class OpenSquare:
+    """A square part of a lattice while it is settled, a lattice of its own.
+
+    Its corners are taken for kept: what entails them is not its own business.
+
+    Parameters
+    ----------
+    heights : ndarray of float32 or float64, shape (cells + 1, cells + 1), in C order
+    is_complete : bool
+        Whether the settling may go the way of a lattice without voids.
+    max_error : float
+    kept : ndarray of uint8, optional
+        What was kept before, as ``lattice_bytes`` holds it.
+    turned : bool
+        Whether west and east are exchanged in ``heights``; the borders are always the true ones.
+    """
+
+    def __init__(
+        self,
+        heights: NDArray[np.floating[Any]],
+        is_complete: bool,
+        max_error: float,
+        kept: NDArray[np.uint8] | None = None,
+        *,
+        turned: bool = False,
+    ) -> None:
+        self.heights = heights
+        self.is_void = bool(np.isnan(heights).all())
+        self.cells = cells = len(heights) - 1
+        self._is_complete = is_complete
+        self._max_error = max_error
+        self._turned = turned
+        self.kept = lattice_bytes(cells) if kept is None else kept
+        self.kept[::cells, : cells + 1 : cells] = 1
+
+    def keep(self, borders: list[int]) -> None:
+        """Keep the marked vertices of the northern, southern, western and eastern border."""
+        from rtin._kernels.lattice import VERTEX, pack
+
+        work = []
+        for marks, (rows, cols) in zip(borders, self._sides, strict=True):
+            nodes = _numbers(marks & ~_bits(self.kept[rows, cols]))
+            work.append(pack(rows[nodes], cols[nodes], VERTEX))
+        self.settle(np.concatenate(work))
+
+    def marks(self) -> list[int]:
+        """Return what is kept on the northern, southern, western and eastern border."""
+        return [_bits(self.kept[side]) for side in self._sides]
+
+    def settle(self, work: NDArray[np.int64]) -> None:
+        """Keep what the vertices and triangles in ``work`` entail, as far as the borders."""
+        from rtin._kernels.coarsening import close_all, settle
+
+        if self.is_void:
+            close_all(self.kept, work)
+        elif work.size:
+            shared = (self.heights, self._is_complete, self._max_error, None, self.kept, None)
+            settle(*shared, 0, self.cells + 1, 1, False, work)
+
+    @property
+    def _sides(self) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
+        return _sides(self.cells, self._turned)
+
+
+class _OpenTile(OpenSquare):
     """A tile's lattice while it is settled.
 
     Diagonals of tiles alternate like a checkerboard, those of a lattice of its own don't: an odd
@@ -514,51 +582,33 @@ class _OpenTile:
 
     def __init__(self, tiling: Tiling, place: Place, ringed: NDArray[np.floating[Any]]) -> None:
         self._place = place
-        self._cells = cells = tiling.cells
-        self._max_error = tiling.max_error
-        self._turned = sum(place) % 2 == 1
         self._ringed = ringed
         heights = ringed[1:-1, 1:-1]
-        voids = np.isnan(heights)
-        self.is_void = bool(voids.all())
-        self._is_complete = not voids.any()
-        self._heights = np.ascontiguousarray(heights[:, ::-1] if self._turned else heights)
-        self._kept = lattice_bytes(cells)
-        self._kept[::cells, : cells + 1 : cells] = 1
-        self._settle(_roots(cells))
+        turned = sum(place) % 2 == 1
+        own = np.ascontiguousarray(heights[:, ::-1] if turned else heights)
+        super().__init__(own, not np.isnan(own).any(), tiling.max_error, turned=turned)
+        self.settle(_roots(tiling.cells))
+        if tiling.largest_cell is not None:
+            self.settle(_regular(tiling.cells, tiling.largest_cell))
 
     @property
     def range(self) -> float:
         """Difference of the highest and the lowest height; 0 where there is none."""
-        return 0.0 if self.is_void else float(np.nanmax(self._heights) - np.nanmin(self._heights))
-
-    def keep(self, borders: list[int]) -> None:
-        """Keep the marked vertices of the northern, southern, western and eastern border."""
-        from rtin._kernels.lattice import VERTEX, pack
-
-        work = []
-        for marks, (rows, cols) in zip(borders, self._sides, strict=True):
-            nodes = _numbers(marks & ~_bits(self._kept[rows, cols]))
-            work.append(pack(rows[nodes], cols[nodes], VERTEX))
-        self._settle(np.concatenate(work))
-
-    def marks(self) -> list[int]:
-        """Return what is kept on the northern, southern, western and eastern border."""
-        return [_bits(self._kept[side]) for side in self._sides]
+        return 0.0 if self.is_void else float(np.nanmax(self.heights) - np.nanmin(self.heights))
 
     def made(self) -> Tile | None:
         """Return the tile's mesh, None where it has no triangle."""
         if self.is_void:
             return None
-        grid = Grid(self._heights)
+        grid = Grid(self.heights)
         try:
-            mesh = mesh_of_kept(grid, self._kept)
+            mesh = mesh_of_kept(grid, self.kept)
         except ValueError:
             return None
         rows, cols = -mesh.vertices[:, 1].astype(np.int32), mesh.vertices[:, 0].astype(np.int32)
         triangles, heights = mesh.triangles, mesh.vertices[:, 2]
         if self._turned:
-            cols = self._cells - cols
+            cols = self.cells - cols
             order = np.lexsort((cols, rows))
             number = np.empty(len(order), np.int32)
             number[order] = np.arange(len(order), dtype=np.int32)
@@ -567,26 +617,13 @@ class _OpenTile:
         row, col = self._place
         slopes = _slopes(self._ringed, rows, cols)
         return Tile(
-            row, col, self._cells, rows, cols, heights, slopes, triangles, self._largest_error()
+            row, col, self.cells, rows, cols, heights, slopes, triangles, self._largest_error()
         )
-
-    @cached_property
-    def _sides(self) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
-        return _sides(self._cells, self._turned)
-
-    def _settle(self, work: NDArray[np.int64]) -> None:
-        from rtin._kernels.coarsening import close_all, settle
-
-        if self.is_void:
-            close_all(self._kept, work)
-        elif work.size:
-            shared = (self._heights, self._is_complete, self._max_error, None, self._kept, None)
-            settle(*shared, 0, self._cells + 1, 1, False, work)
 
     def _largest_error(self) -> float:
         from rtin._kernels.tiles import largest_error
 
-        return float(largest_error(self._heights, self._is_complete, self._kept))
+        return float(largest_error(self.heights, self._is_complete, self.kept))
 
 
 @cache
@@ -596,6 +633,14 @@ def _sides(cells: int, turned: bool) -> tuple[tuple[NDArray[np.intp], NDArray[np
     if turned:
         return (first, along[::-1]), (last, along[::-1]), (along, last), (along, first)
     return (first, along), (last, along), (along, first), (along, last)
+
+
+def _regular(cells: int, step: int) -> NDArray[np.int64]:
+    """Return every step-th node along both axes of a tile, as work."""
+    from rtin._kernels.lattice import VERTEX, pack
+
+    rows, cols = np.mgrid[0 : cells + 1 : step, 0 : cells + 1 : step]
+    return pack(rows.ravel(), cols.ravel(), VERTEX)  # type: ignore[no-any-return]
 
 
 def _roots(cells: int) -> NDArray[np.int64]:

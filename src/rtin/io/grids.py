@@ -7,6 +7,7 @@ import os
 import re
 import threading
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from numbers import Integral
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     Part = tuple[tuple[int, int], tuple[int, int]]
     Heights = NDArray[np.floating[Any]]
 
-__all__ = ["read_grid", "suspicious_values"]
+__all__ = ["FillValues", "available_memory", "read_grid", "suspicious_values"]
 
 # Both codes are linear in the 24-bit number 65536 R + 256 G + B, so each is a scale and an offset.
 _SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1.0 / 256.0, -32768.0)}
@@ -36,6 +37,7 @@ _LOWEST_ON_EARTH, _HIGHEST_ON_EARTH = -12000.0, 9000.0
 _FILL_VALUES = (-999, 9999, -9999, -10000, -32767, 32767, -32768, 65535, -99999, 99999)
 _LARGEST_HEIGHT = 1e9
 _LARGEST_EXACT_INTEGER = 2.0**53
+_OPENING = threading.Lock()  # warnings.catch_warnings is not for several threads at once
 _RAW_DRIVERS = ("ENVI", "EHdr", "ISCE")
 _GDAL_OPTIONS = {
     # Two cores read a compressed GeoTIFF 1.7 times as fast as one.
@@ -104,18 +106,28 @@ def read_grid(
         raster lies; the grid then has no CRS.
     """
     name = os.fsdecode(path)
+    check_choice(band, encoding)
+    read = _read_npy if is_npy(name) else _read_raster
+    heights, transform, crs = read(name, window, int(band), encoding)
+    try:
+        return Grid(heights, transform, crs)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name}: {error}") from None
+
+
+def is_npy(name: str) -> bool:
+    """Return whether a file is read as NumPy's, by its name."""
+    return name.lower().endswith(".npy")
+
+
+def check_choice(band: object, encoding: object) -> None:
+    """Raise TypeError or ValueError unless these can be a band's number and an encoding."""
     if encoding not in (None, "none", *_SCALE_AND_OFFSET):
         raise ValueError(
             f"encoding must be 'terrain-rgb', 'terrarium', 'none' or None, got {encoding!r}"
         )
     if isinstance(band, bool) or not isinstance(band, Integral):
         raise TypeError(f"band must be a whole number from 1, got {_one_line(repr(band))}")
-    read = _read_npy if name.lower().endswith(".npy") else _read_raster
-    heights, transform, crs = read(name, window, int(band), encoding)
-    try:
-        return Grid(heights, transform, crs)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{name}: {error}") from None
 
 
 def suspicious_values(grid: Grid) -> list[str]:
@@ -124,20 +136,45 @@ def suspicious_values(grid: Grid) -> list[str]:
     Looks only at the lowest and the highest heights, where fill values stand: the usual numbers
     (-9999, -32768, …) and everything beyond 1e9. A true height may be among them.
     """
-    inside = ~np.isnan(grid.heights)
-    lines: list[str] = []
-    while inside.any():
-        lowest = float(grid.heights.min(where=inside, initial=np.inf))
-        highest = float(grid.heights.max(where=inside, initial=-np.inf))
-        fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
-        if not fills:
-            break
-        for value in sorted(fills):
-            found = inside & (grid.heights == value)
-            inside &= ~found
-            count = np.count_nonzero(found)
-            lines.append(f"{value:.7g} in {count} samples: undeclared nodata?")
-    return lines
+    seen = FillValues()
+    seen.look(grid.heights)
+    return seen.lines()
+
+
+class FillValues:
+    """What ``suspicious_values`` looks for, in a raster seen part by part."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[float] = Counter()
+        self._others: set[float] = set()  # the lowest and highest of the rest of each part
+
+    def look(self, heights: Heights) -> None:
+        """Look at some more heights."""
+        inside = ~np.isnan(heights)
+        while inside.any():
+            lowest = float(heights.min(where=inside, initial=np.inf))
+            highest = float(heights.max(where=inside, initial=-np.inf))
+            fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
+            if not fills:
+                self._others |= {lowest, highest}
+                break
+            for value in fills:
+                found = inside & (heights == value)
+                inside &= ~found
+                self._counts[value] += int(np.count_nonzero(found))
+
+    def lines(self) -> list[str]:
+        """Return one line for each extreme height that looks like a nodata value."""
+        values = sorted({*self._counts, *self._others})
+        lines: list[str] = []
+        while values:
+            fills = [value for value in {values[0], values[-1]} if value in self._counts]
+            if not fills:
+                break
+            for value in sorted(fills):
+                lines.append(f"{value:.7g} in {self._counts[value]} samples: undeclared nodata?")
+                values.remove(value)
+        return lines
 
 
 def _looks_like_fill(value: float) -> bool:
@@ -147,21 +184,27 @@ def _looks_like_fill(value: float) -> bool:
 def _read_npy(
     name: str, window: object, band: int, encoding: str | None
 ) -> tuple[NDArray[Any], Affine, None]:
+    array = open_npy(name, band, encoding)
+    (row_start, row_stop), (col_start, col_stop) = part = _part(window, array.shape, name)
+    _require_memory(part, array.dtype.itemsize + 8, name)
+    heights = np.array(array[row_start:row_stop, col_start:col_stop], order="C")
+    return heights, moved(NORTH_UP, row_start, col_start), None
+
+
+def open_npy(name: str, band: int, encoding: str | None) -> NDArray[Any]:
+    """Return the array of two dimensions in a .npy file, mapped into memory."""
     if band != 1 or encoding in _SCALE_AND_OFFSET:
         raise ValueError(
             f"{name}: a .npy array is one band of plain heights, "
             f"got band={band!r} and encoding={encoding!r}; leave both out"
         )
     try:
-        array = np.lib.format.open_memmap(name, mode="r")
+        array: NDArray[Any] = np.lib.format.open_memmap(name, mode="r")
     except Exception as error:  # numpy's parser of the header lets anything through
         raise _unreadable(name, error) from None
     if array.ndim != 2:
         raise ValueError(f"{name}: an array with two dimensions is wanted, got shape {array.shape}")
-    (row_start, row_stop), (col_start, col_stop) = part = _part(window, array.shape, name)
-    _require_memory(part, array.dtype.itemsize + 8, name)
-    heights = np.array(array[row_start:row_stop, col_start:col_stop], order="C")
-    return heights, moved(NORTH_UP, row_start, col_start), None
+    return array
 
 
 def _read_raster(
@@ -170,33 +213,94 @@ def _read_raster(
     with _opened(name) as dataset:
         _require_one_raster(dataset, name)
         part = _part(window, dataset.shape, name)
-        if encoding != "none" and (encoding or _is_coloured(dataset)):
-            heights = _read_colours(dataset, name, part, band, encoding)
-        else:
-            heights = _read_band(dataset, name, part, band)
+        heights = read_heights(dataset, name, part, band, encoding)
         return heights, _transform(dataset, name, part), _crs(dataset, name)
+
+
+def read_heights(
+    dataset: Any,  # noqa: ANN401
+    name: str,
+    part: Part,
+    band: int,
+    encoding: str | None,
+) -> Heights:
+    """Return the heights in rows and columns of an open raster, as ``read_grid`` describes them."""
+    if encoding != "none" and (encoding or _is_coloured(dataset)):
+        return _read_colours(dataset, name, part, band, encoding)
+    return _read_band(dataset, name, part, band)
+
+
+def look_at(
+    dataset: Any,  # noqa: ANN401
+    name: str,
+    band: int,
+    encoding: str | None,
+) -> tuple[Affine, pyproj.CRS | None, np.dtype[Any], str]:
+    """Return transform, CRS, type and encoding of the heights that windows of a raster have.
+
+    The type follows from the band's, not from its values. To recognise the encoding of colours, all
+    of them are read, a part at a time.
+    """
+    _require_one_raster(dataset, name)
+    if encoding is None:
+        encoding = _encoding_of_all(dataset, name) if _is_coloured(dataset) else "none"
+    corner = (0, 1), (0, 1)
+    dtype = read_heights(dataset, name, corner, band, encoding).dtype
+    return _transform(dataset, name, corner), _crs(dataset, name), dtype, encoding
+
+
+def _encoding_of_all(dataset: Any, name: str) -> str:  # noqa: ANN401
+    parts = [codes for rows in row_chunks(dataset.shape) for codes in [_extremes(dataset, rows)]]
+    lowest, highest = np.transpose(parts)
+    return _plausible_encoding(np.array([np.fmin.reduce(lowest), np.fmax.reduce(highest)]), name)
+
+
+def _extremes(dataset: Any, rows: slice) -> tuple[float, float]:  # noqa: ANN401
+    part = (rows.start, min(rows.stop, dataset.height)), (0, dataset.width)
+    codes = _read_codes(dataset, part)
+    return float(np.fmin.reduce(codes, axis=None)), float(np.fmax.reduce(codes, axis=None))
 
 
 @contextmanager
 def _opened(name: str) -> Iterator[Any]:
-    """Open a raster without a word on stderr, and raise every failure of GDAL as an OSError."""
+    dataset = open_raster(name)
+    with gdal_at_work(name), dataset:
+        yield dataset
+
+
+def open_raster(name: str) -> Any:  # noqa: ANN401  (rasterio has no types)
+    """Return a raster's dataset, opened without a word on stderr, and checked to be whole."""
     import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+
+    with _os_errors(name), _OPENING, warnings.catch_warnings(), rasterio.Env(**_GDAL_OPTIONS):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with _cut_tags() as cut:
+            dataset = rasterio.open(name)
+        if cut or _is_short_raw_file(dataset):
+            dataset.close()
+            raise RasterioIOError(cut[0] if cut else "the file is too small")
+    return dataset
+
+
+@contextmanager
+def gdal_at_work(name: str) -> Iterator[None]:
+    """Set GDAL's options for reading an open raster, and raise its failures as OSError."""
+    import rasterio
+
+    # A GeoTIFF takes its threads when opened. Those that other drivers (JPEG 2000) would start
+    # later print their errors on stderr.
+    with _os_errors(name), rasterio.Env(**{**_GDAL_OPTIONS, "GDAL_NUM_THREADS": "1"}):
+        yield
+
+
+@contextmanager
+def _os_errors(name: str) -> Iterator[None]:
     from rasterio._err import CPLE_BaseError
-    from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError, RasterioIOError
+    from rasterio.errors import CRSError, RasterioError
 
     try:
-        with warnings.catch_warnings(), rasterio.Env(**_GDAL_OPTIONS):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            # A GeoTIFF takes its threads when opened. Those that other drivers (JPEG 2000) would
-            # start later print their errors on stderr.
-            with (
-                _cut_tags() as cut,
-                rasterio.open(name) as dataset,
-                rasterio.Env(GDAL_NUM_THREADS="1"),
-            ):
-                if cut or _is_short_raw_file(dataset):
-                    raise RasterioIOError(cut[0] if cut else "the file is too small")
-                yield dataset
+        yield
     except (RasterioError, CPLE_BaseError, CRSError, UnicodeError) as error:
         raise _unreadable(name, error) from None
 
@@ -285,7 +389,7 @@ def _whole(value: Any) -> int:  # noqa: ANN401
 
 def _require_memory(part: Part, bytes_per_sample: int, name: str) -> None:
     rows, cols = (stop - start for start, stop in part)
-    needed, available = rows * cols * bytes_per_sample, _available_memory()
+    needed, available = rows * cols * bytes_per_sample, available_memory()
     if available is not None and needed > available:
         raise MemoryError(
             f"{name}: {rows} rows of {cols} samples need {needed / 1e9:.1f} GB of memory, "
@@ -293,7 +397,7 @@ def _require_memory(part: Part, bytes_per_sample: int, name: str) -> None:
         )
 
 
-def _available_memory() -> int | None:
+def available_memory() -> int | None:
     """Return the bytes of memory one can still take, None where the system does not tell."""
     # sysconf's free pages leave out what the file cache would give back, hence Linux's own figure.
     with suppress(OSError):
@@ -424,7 +528,7 @@ def _nodata_code(dataset: Any) -> float | None:  # noqa: ANN401
     return float(65536 * red + 256 * green + blue)
 
 
-def _plausible_encoding(codes: NDArray[np.float32], name: str) -> str:
+def _plausible_encoding(codes: NDArray[np.floating[Any]], name: str) -> str:
     lowest = float(np.fmin.reduce(codes, axis=None))
     highest = float(np.fmax.reduce(codes, axis=None))
     plausible = [

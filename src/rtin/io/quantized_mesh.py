@@ -12,7 +12,6 @@ import json
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from math import floor, log2
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +28,7 @@ __all__ = ["QuantizedMesh", "encode", "gzipped", "height_step"]
 _LARGEST = 32767
 _MOST_SHORT = 1 << 16  # vertices whose indices take two bytes
 _OCT_NORMALS = 1
-_STEPS_IN_TOLERANCE = 16
+_LEAST_EXPONENT = -10  # of 2, so that float32 holds heights on Earth in such steps
 _GZIP_LEVEL = 6
 
 
@@ -41,8 +40,6 @@ class QuantizedMesh:
     ----------
     scheme : str
         Name of a tiling scheme: ``"geographic"`` or ``"mercator"``.
-    tolerances : dict of int to float
-        Of each zoom, in metres.
     normals : bool
         Whether vertices have normals.
     about : dict
@@ -52,7 +49,6 @@ class QuantizedMesh:
     """
 
     scheme: str
-    tolerances: dict[int, float]
     normals: bool
     about: dict[str, str]
     bounds: tuple[float, float, float, float]
@@ -63,12 +59,12 @@ class QuantizedMesh:
 
     def encode(self, zoom: int, tile: Tile, largest_range: float) -> bytes:
         """Return a tile's file, compressed by gzip."""
-        step = height_step(self.tolerances[zoom], largest_range)
+        step = height_step(largest_range)
         return gzipped(encode(tile, SCHEMES[self.scheme], zoom, step, normals=self.normals))
 
-    def rounding(self, zoom: int, largest_range: float) -> float:
+    def rounding(self, largest_range: float) -> float:
         """Return half the step in which heights are counted."""
-        return height_step(self.tolerances[zoom], largest_range) / 2.0
+        return height_step(largest_range) / 2.0
 
     def roots(self, zoom: int) -> frozenset[Place]:
         """Return all tiles of zoom 0: CesiumJS asks for them wherever the terrain is."""
@@ -102,16 +98,14 @@ class QuantizedMesh:
         yield "layer.json", json.dumps(layer, indent=1).encode()
 
 
-def height_step(tolerance: float, largest_range: float) -> float:
-    """Return the step of heights: a sixteenth of the tolerance, more where the range needs it.
+def height_step(largest_range: float) -> float:
+    """Return the step of heights that lets tiles hold a range: a power of two, a millimetre or so.
 
-    It is a power of two, so that heights decode exactly; ``largest_range`` is the largest
-    difference of heights within a tile.
+    Heights then decode exactly. CesiumJS takes 32767 steps for the height of a tile, so that a step
+    larger than needed would have it draw tiles that nobody sees.
     """
-    wanted = max(tolerance, 2.0**-20) / _STEPS_IN_TOLERANCE
-    needed = largest_range / (_LARGEST - 2)
-    exponent = floor(log2(wanted))
-    while 2.0**exponent < needed:
+    exponent = _LEAST_EXPONENT
+    while 2.0**exponent * (_LARGEST - 2) < largest_range:
         exponent += 1
     return float(2.0**exponent)
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan, degrees, pi, sinh
+from math import atan, degrees, pi, sinh, sqrt
 from typing import Any, Literal
 
 from rtin._options import as_height, require_word
 from rtin.grid import lattice_size
 from rtin.io.tileset import Format
 from rtin.pyramid import Plan, geometric_error, tolerances
-from rtin.schemes import SCHEMES, Scheme
+from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
 from rtin.tiles import HeightLattice
 
 __all__ = ["Job", "raster_tiles", "world_tiles"]
@@ -114,7 +114,9 @@ def world_tiles(
     lattice, notes = _lattice(names, the_scheme, last, cells, geoid, raster)
     if fill == "default":
         fill = 0.0 if kind == "terrain" else None
-    plan = Plan(lattice, cells, the_scheme.roots, dict(sorted(wanted.items())), fill)
+    wanted = dict(sorted(wanted.items()))
+    largest = {zoom: _largest_cell(the_scheme, zoom, cells, wanted[zoom]) for zoom in wanted}
+    plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest)
     if last > native:
         notes.append(f"zoom {native} has all that the rasters hold; finer ones add tiles only")
     output = _format(kind, scheme, plan, normals, about or {})
@@ -196,7 +198,7 @@ def _job(
         "cells": plan.cells,
         "fill": plan.fill,
     }
-    return Job(plan, output, settings, {name: fingerprint(name) for name in names}, notes)
+    return Job(plan, output, settings, dict(zip(names, fingerprint(names), strict=True)), notes)
 
 
 def _names(paths: Sequence[str | os.PathLike[str]]) -> list[str]:
@@ -224,6 +226,22 @@ def _cesium(scheme: Scheme, factor: float) -> Any:  # noqa: ANN401
     return lambda zoom: factor * geometric_error(scheme, zoom)
 
 
+def _largest_cell(scheme: Scheme, zoom: int, cells: int, tolerance: float) -> int:
+    """Return how long a triangle's leg may be, in cells, for the globe to look round.
+
+    The chord of an arc of length d on a sphere of radius r lies d² / 8 r below it. A triangle's
+    longest edge, √2 legs, may lie by half of CesiumJS's error of the zoom below, or the tolerance
+    where that is more.
+    """
+    allowed = max(tolerance, _PIXELS * geometric_error(scheme, zoom))
+    leg = sqrt(4.0 * EQUATORIAL_RADIUS * allowed)
+    side = 2.0 * pi * EQUATORIAL_RADIUS / (scheme.roots << zoom)
+    parts = 1
+    while side / parts > leg and parts < cells:
+        parts *= 2
+    return cells // parts
+
+
 def _lattice(
     names: list[str],
     scheme: Scheme,
@@ -249,7 +267,7 @@ def _format(kind: str, scheme: str, plan: Plan, normals: bool, about: dict[str, 
     if kind == "terrain":
         from rtin.io.quantized_mesh import QuantizedMesh
 
-        return QuantizedMesh(scheme, plan.tolerances, normals, about, _bounds(plan, scheme))
+        return QuantizedMesh(scheme, normals, about, _bounds(plan, scheme))
     from rtin.io.tiles3d import Tiles3D
 
     return Tiles3D(scheme, plan.cells, plan.tolerances)
@@ -262,9 +280,8 @@ def _bounds(plan: Plan, scheme: str) -> tuple[float, float, float, float]:
     west, east = x + a * left, x + a * (right - 1)
     south, north = y + e * (bottom - 1), y + e * top
     if scheme == "mercator":
-        radius = SCHEMES[scheme].width / (2.0 * pi)
-        west, east = degrees(west / radius), degrees(east / radius)
-        south, north = (degrees(atan(sinh(value / radius))) for value in (south, north))
+        west, east = degrees(west / EQUATORIAL_RADIUS), degrees(east / EQUATORIAL_RADIUS)
+        south, north = (degrees(atan(sinh(value / EQUATORIAL_RADIUS))) for value in (south, north))
     if east > 180.0:  # across the antimeridian: CesiumJS wants west below east
         west, east = -180.0, 180.0
     return west, max(south, -90.0), east, min(north, 90.0)
