@@ -83,8 +83,8 @@ def coarsen_lattice(
     memory : int
         Bytes that the work may take: a third goes to blocks of heights and marks, another one to
         what is being read; and when these are done, 120 for each vertex while the mesh is put
-        together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few bits for each vertex kept,
-        and come on top.
+        together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few
+        bits for each vertex kept, and come on top.
     cells : int, optional
         Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
         holds less than 16 such blocks. It has no influence on the result.
