@@ -303,6 +303,7 @@ def test_a_raster_beyond_the_limit_gives_the_same_file(dem, tmp_path, name, wind
     assert in_tiles == whole
 
 
+@pytest.mark.filterwarnings("always")
 def test_what_is_odd_about_a_raster_is_said_in_tiles_too(tmp_path):
     path, heights = tmp_path / "dem.tif", terrains.waves((600, 600)).astype(np.float32)
     heights[9, 9] = -9999.0

@@ -1,15 +1,19 @@
-"""Bands of rows for a pool of threads."""
+"""Bands of rows for a pool of threads, and pools of processes."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
 from typing import Any
 
-__all__ = ["row_bands", "run", "thread_count"]
+__all__ = ["processes", "row_bands", "run", "thread_count"]
 
 _MOST_BANDS = 16
 _FEWEST_ROWS = 256
@@ -54,3 +58,30 @@ def _pool(n_threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):  # a forked child has the pool, but none of its threads
     os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+@contextmanager
+def processes(number: int) -> Iterator[Executor | None]:
+    """Yield a pool of that many processes, None for one: the work is then done here.
+
+    Raises OSError where one of them ends by itself, as when memory runs out.
+    """
+    if number == 1:
+        yield None
+        return
+    # A fork would take the locks of this process's threads along.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(number, mp_context=context, initializer=_become_worker)
+    try:
+        yield pool
+    except BrokenProcessPool:
+        raise OSError(
+            "a worker process was ended, perhaps for want of memory; take fewer with --workers"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _become_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for us
+    os.environ["RTIN_NUM_THREADS"] = "1"

@@ -11,7 +11,9 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import asdict
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -21,8 +23,12 @@ import typer
 from rtin._version import __version__
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
+    from rtin.io.tile_jobs import Job
+    from rtin.io.tileset import Summary
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
     from rtin.studies.comparison import Method
@@ -34,6 +40,7 @@ _QUIET_SECONDS = 1.0
 _SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
+_FEW_TILES = 1000  # are made sooner than other processes are started
 _GDALS_SHARE = 8  # of the memory for tiles: an eighth
 
 app = typer.Typer(
@@ -451,6 +458,226 @@ def compare(
         summary["written"] = [str(out) for out in outputs.values()]
         summary["notes"] = summary.pop("notes")
         _report(summary, as_json)
+
+
+@app.command()
+def tiles(
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="DEM... OUT", help="Rasters, and the folder to fill.")
+    ],
+    kind: Annotated[
+        Literal["terrain", "3dtiles", "glb", "obj", "ply", "stl"],
+        typer.Option(
+            "--format",
+            help="Quantized-mesh terrain or 3D Tiles for a globe, or a mesh file for each tile.",
+        ),
+    ] = "terrain",
+    zoom: Annotated[
+        str | None,
+        typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
+    ] = None,
+    max_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEIGHTS",
+            help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
+            "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
+        ),
+    ] = None,
+    scheme: Annotated[
+        Literal["geographic", "mercator"],
+        typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
+    ] = "geographic",
+    cells: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
+            show_default=False,
+        ),
+    ] = None,
+    fill: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HEIGHT",
+            help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
+            show_default=False,
+        ),
+    ] = None,
+    geoid: Annotated[
+        Literal["egm2008", "egm96"] | None,
+        typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
+    ] = None,
+    no_normals: Annotated[
+        bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
+    ] = False,
+    attribution: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
+    ] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Make anew what a changed raster touches.")
+    ] = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, help="Processes; as many as processors.", show_default=False
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask cluster to work, such as tcp://10.0.0.1:8786; it must see the same files.",
+        ),
+    ] = None,
+    band: _Band = 1,
+    encoding: _Encoding = None,
+    as_json: _Json = False,
+) -> None:
+    """Cut rasters into tiles without cracks, at every zoom; goes on where it was ended.
+
+    Memory holds a few tiles at a time, however large the rasters are.
+    """
+    if len(paths) < 2:
+        raise typer.BadParameter("at least one raster and the folder to fill are wanted")
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("give --workers or --scheduler, not both")
+        paths = [path.absolute() for path in paths]  # its workers are in folders of their own
+    *dems, out = paths
+    job_of = partial(
+        _tile_job, dems, kind, zoom=_zooms_of(zoom),
+        max_error=_numbers_of("--max-error", max_error), cells=cells, band=band, encoding=encoding,
+        world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
+               "attribution": attribution},
+    )  # fmt: skip
+    with _one_line_errors():
+        from rtin.io.tileset import write_tileset
+
+        started = time.perf_counter()
+        with _progress(f"looking at {_listed(dems)}"):
+            job = job_of()
+        for note in job.notes:
+            _say(note)
+        _say_if_not_compiled()
+        few = job.plan.n_tiles <= _FEW_TILES
+        with (
+            _workers(workers or (1 if few else None), scheduler) as executor,
+            _progress_bar(f"making {out}") as tell,
+        ):
+            made = write_tileset(
+                out, job.plan, job.output, settings=job.settings, sources=job.sources,
+                update=update, executor=executor, tell=tell,
+            )  # fmt: skip
+        seconds = time.perf_counter() - started
+        _report_tiles(job, dems, out, made, seconds, as_json)
+
+
+def _workers(number: int | None, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+    """Return what gives an executor: of a Dask cluster, or of processes here."""
+    if scheduler is not None:
+        from rtin.distributed import cluster
+
+        return cluster(scheduler)
+    from rtin import _parallel
+
+    return _parallel.processes(number or _parallel.thread_count())
+
+
+def _tile_job(
+    dems: list[Path],
+    kind: str,
+    *,
+    zoom: tuple[int | None, int | None],
+    max_error: list[float],
+    cells: int | None,
+    band: int,
+    encoding: str | None,
+    world: dict[str, Any],
+) -> Job:
+    """Return the job that the options ask for."""
+    from rtin.io.tile_jobs import raster_tiles, world_tiles
+
+    common: dict[str, Any] = {"zoom": zoom, "max_error": max_error, "band": band}
+    common |= {"encoding": encoding} | ({} if cells is None else {"cells": cells})
+    if kind in ("terrain", "3dtiles"):
+        fill, credit = world.pop("fill"), world.pop("attribution")
+        if fill is not None:
+            common["fill"] = None if fill == "none" else _numbers_of("--fill", fill)[0]
+        about = {"name": _listed(dems), "attribution": credit or ""}
+        return world_tiles(dems, kind, about=about, **world, **common)  # type: ignore[arg-type]
+    if len(dems) > 1:
+        raise ValueError(f"--format {kind} takes one raster, got {len(dems)}; make a VRT of them")
+    return raster_tiles(dems[0], kind, **common)
+
+
+def _zooms_of(text: str | None) -> tuple[int | None, int | None]:
+    """Return first and last zoom: of "3-7", "7", or nothing."""
+    if text is None:
+        return None, None
+    first, _, last = text.partition("-")
+    if not (first.isdigit() and (last.isdigit() or "-" not in text)):
+        raise typer.BadParameter(f"--zoom wants one zoom or two, such as 0-12, got {text!r}")
+    return int(first), int(last or first)
+
+
+def _numbers_of(option: str, text: str | None) -> list[float]:
+    """Return the numbers between commas."""
+    try:
+        numbers = [float(part) for part in (text or "").split(",") if text is not None]
+    except ValueError:
+        numbers = [math.nan]
+    if any(not math.isfinite(number) for number in numbers):
+        raise typer.BadParameter(f"{option} wants numbers, got {text!r}")
+    return numbers
+
+
+def _listed(paths: list[Path]) -> str:
+    more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+    return f"{paths[0].name}{more}"
+
+
+def _report_tiles(
+    job: Job, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
+) -> None:
+    n_nodes = sum(level.n_tiles for level in made.levels) * job.plan.cells**2
+    summary: dict[str, Any] = {
+        "input": [str(dem) for dem in dems],
+        "output": str(out),
+        "tiles": sum(level.n_tiles for level in made.levels),
+        "made": made.n_made,
+        "removed": made.n_removed,
+        "bytes": sum(level.n_bytes for level in made.levels),
+        "seconds": round(seconds, 3),
+    }
+    if as_json:
+        levels = [asdict(level) for level in made.levels]
+        _report({**summary, "nodes": n_nodes, "levels": levels, "notes": job.notes}, as_json)
+        return
+    print(f"{'zoom':>6}{'tiles':>9}{'vertices':>12}{'triangles':>12}{'tolerance':>12}{'error':>12}")
+    for level in made.levels:
+        counts = f"{level.n_tiles:>9}{level.n_vertices:>12}{level.n_triangles:>12}"
+        print(f"{level.zoom:>6}{counts}{level.tolerance:>12.6g}{level.max_error:>12.6g}")
+    _report(summary, as_json)
+
+
+@app.command()
+def serve(
+    tiles: Annotated[
+        Path, typer.Argument(metavar="TILES", help="A folder with layer.json or tileset.json.")
+    ],
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
+    cesium: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where npm has installed CesiumJS, if not here."),
+    ] = None,
+) -> None:
+    """Serve terrain tiles over HTTP, with pages that show them."""
+    with _one_line_errors():
+        from rtin import serve as server
+
+        server.run(server.FolderStore(tiles), host, port, cesium=cesium, say=_tell)
 
 
 @app.command()
@@ -1137,6 +1364,10 @@ def _readable(value: Any) -> str:  # noqa: ANN401
     if isinstance(value, int):
         return f"{value:,}".replace(",", " ")
     return str(value)
+
+
+def _tell(message: str) -> None:
+    print(message, flush=True)
 
 
 def _say(message: str) -> None:

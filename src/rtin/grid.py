@@ -109,17 +109,8 @@ class Grid:
         TypeError
             If it is no DataArray, or its values are not real numbers.
         """
-        _require_data_array(data)
-        data = data.squeeze(drop=True)
-        if data.ndim != 2:
-            raise ValueError(
-                f"a DataArray with two dimensions is wanted, got {data.ndim}: {data.dims}; "
-                "select one band or time first"
-            )
-        if data.dims[0] in ("x", "lon", "longitude"):
-            data = data.transpose()
-        crs = getattr(getattr(data, "rio", None), "crs", None)
-        return cls(_unpacked(data), _transform_of(data, has_crs=crs is not None), crs)
+        data, transform, crs = placed(data)
+        return cls(unpacked(data), transform, crs)
 
     def places(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return row and column, with fractions, of each point of the world, both of shape (n, 2).
@@ -191,21 +182,26 @@ def require_grid(grid: Grid) -> Grid:
 
 
 def _as_heights(values: ArrayLike) -> NDArray[np.floating[Any]]:
+    shape = np.shape(values)
+    if len(shape) != 2 or min(shape) < 2:
+        raise ValueError(
+            f"heights must have at least 2 rows and 2 columns, got an array of shape {shape}"
+        )
+    return np.ascontiguousarray(as_floats(values)).view()
+
+
+def as_floats(values: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return heights as float32 where that loses nothing, or float64; NaN where masked."""
     mask = np.ma.getmask(values)
     array = np.asarray(values)
-    if array.ndim != 2 or min(array.shape) < 2:
-        raise ValueError(
-            f"heights must have at least 2 rows and 2 columns, got an array of shape {array.shape}"
-        )
     if array.dtype.kind not in "fiu":
         raise TypeError(f"heights must be real numbers, got an array of {array.dtype}")
     if mask is np.ma.nomask:
-        heights = _narrowest_exact_floats(array)
-    else:
-        # Whatever lies under the mask has no say in the type of the rest: zero fits them all.
-        heights = _narrowest_exact_floats(np.where(mask, array.dtype.type(0), array))
-        heights[mask] = np.nan
-    return np.ascontiguousarray(heights).view()
+        return _narrowest_exact_floats(array)
+    # Whatever lies under the mask has no say in the type of the rest: zero fits them all.
+    heights = _narrowest_exact_floats(np.where(mask, array.dtype.type(0), array))
+    heights[mask] = np.nan
+    return heights
 
 
 def _narrowest_exact_floats(array: NDArray[Any]) -> NDArray[np.floating[Any]]:
@@ -283,7 +279,25 @@ def _require_data_array(data: object) -> None:
         )
 
 
-def _unpacked(data: Any) -> NDArray[Any]:  # noqa: ANN401
+def placed(data: Any) -> tuple[Any, Affine, Any]:  # noqa: ANN401
+    """Return a DataArray with rows and columns only, its transform and its CRS, if any.
+
+    Raises TypeError and ValueError as ``Grid.from_xarray`` does; no height is looked at.
+    """
+    _require_data_array(data)
+    data = data.squeeze(drop=True)
+    if data.ndim != 2:
+        raise ValueError(
+            f"a DataArray with two dimensions is wanted, got {data.ndim}: {data.dims}; "
+            "select one band or time first"
+        )
+    if data.dims[0] in ("x", "lon", "longitude"):
+        data = data.transpose()
+    crs = getattr(getattr(data, "rio", None), "crs", None)
+    return data, _transform_of(data, has_crs=crs is not None), crs
+
+
+def unpacked(data: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return a DataArray's heights, masked where nodata, with scale and offset applied."""
     values = np.asarray(data.values)
     nodata = data.rio.nodata if hasattr(data, "rio") else data.attrs.get("_FillValue")

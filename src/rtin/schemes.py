@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
 
 from affine import Affine
 
-__all__ = ["SCHEMES", "Scheme"]
+__all__ = ["EQUATORIAL_RADIUS", "SCHEMES", "Scheme"]
 
-_MERCATOR_EDGE = 20037508.342789244  # metres: pi times the equatorial radius of WGS 84
+EQUATORIAL_RADIUS = 6378137.0  # metres, of WGS 84
+_MERCATOR_EDGE = pi * EQUATORIAL_RADIUS
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import groupby
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin._number import as_number
+from rtin._options import as_height
 from rtin.coarsening import lattice_bytes, mesh_of_kept
 from rtin.grid import Grid, lattice_size
 
-__all__ = ["HeightLattice", "Tile", "Tiling", "checksum", "make_tiles", "settle_borders"]
+__all__ = ["HeightLattice", "Settled", "Tile", "Tiling", "checksum", "make_tiles", "settle_borders"]
 
 Span = tuple[int, int]
 Place = tuple[int, int]  # row and column of a tile
@@ -38,27 +41,31 @@ _NORTH, _WEST = 0, 1
 # Along a side of what is settled in one go:
 _BLOCK_CELLS = 2048
 _MOST_TILES = 64
+_MOST_CELLS = 1 << 14  # a tile of so many takes a few GiB
 
 
 class HeightLattice(Protocol):
-    """Heights at the nodes of a lattice of any size, read window by window.
+    """Heights at the nodes of a lattice of any size, read window by window."""
 
-    Attributes
-    ----------
-    rows, cols : (int, int)
-        First node and the one after the last where heights may be. All else is void.
-    period : int or None
-        Columns of a lattice that goes round the world: column c and c + period are one node.
-    transform : affine.Affine
-        Maps (col, row) of a node to (x, y).
-    crs : pyproj.CRS or None
-    """
+    @property
+    def rows(self) -> Span:
+        """First row of nodes and the one after the last where heights may be; all else is void."""
 
-    rows: Span
-    cols: Span
-    period: int | None
-    transform: Affine
-    crs: Any
+    @property
+    def cols(self) -> Span:
+        """Likewise for columns; the end may lie beyond the period."""
+
+    @property
+    def period(self) -> int | None:
+        """Columns of a lattice that goes round the world: c and c + period are one node."""
+
+    @property
+    def transform(self) -> Affine:
+        """What maps (col, row) of a node to (x, y)."""
+
+    @property
+    def crs(self) -> Any:  # noqa: ANN401
+        """Coordinate reference system of x and y: a pyproj.CRS or None."""
 
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
         """Return the heights of a window, in C order; NaN where void or outside.
@@ -118,6 +125,17 @@ class Tiling:
     fill : float or None
         Height of void nodes in tiles that have any height. None leaves the mesh open there, as
         ``coarsen`` does.
+    largest_cell : int or None
+        A power of two: nodes at its multiples are kept whatever the error, as where straight edges
+        must follow a round globe. None keeps the corners of tiles only.
+
+    Raises
+    ------
+    TypeError
+        If one is of the wrong kind.
+    ValueError
+        If ``cells`` is no power of two from 2 to 16384, ``max_error`` negative or NaN, ``shape``
+        empty, ``fill`` not finite, or the tiles don't go round the lattice's period.
     """
 
     lattice: HeightLattice
@@ -125,14 +143,39 @@ class Tiling:
     max_error: float
     shape: tuple[int, int]
     fill: float | None = None
+    largest_cell: int | None = None
+
+    def __post_init__(self) -> None:
+        _require_cells(self.cells)
+        as_height("max_error", self.max_error)
+        _require_shape(self.shape)
+        if self.fill is not None and not isfinite(as_number("fill", self.fill)):
+            raise ValueError(f"fill must be None or a finite height, got {self.fill}")
+        period = self.lattice.period
+        if period is not None and period != self.cells * self.shape[1]:
+            raise ValueError(
+                f"tiles must fit the lattice's period of {period} columns, "
+                f"got {self.shape[1]} of {self.cells} cells"
+            )
 
     @classmethod
     def of_raster(cls, lattice: HeightLattice, cells: int, max_error: float) -> Tiling:
         """Return the tiling of a raster's own lattice, which is that of ``coarsen``.
 
         ``cells`` is the most a tile has: a smaller raster is one tile.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As ``Tiling`` does; ValueError if there are fewer than 2 × 2 nodes.
         """
-        size = lattice_size((lattice.rows[1], lattice.cols[1]))
+        _require_cells(cells)
+        n_rows, n_cols = lattice.rows[1], lattice.cols[1]
+        if min(n_rows, n_cols) < 2:
+            raise ValueError(
+                f"a lattice must have at least 2 rows and 2 columns, got {n_rows} × {n_cols}"
+            )
+        size = max(lattice_size((n_rows, n_cols)), 2)
         cells = min(cells, size)
         return cls(lattice, cells, max_error, (size // cells, size // cells))
 
@@ -184,6 +227,39 @@ class Tiling:
                 yield place, heights[:, start : start + self.cells + 3]
 
 
+def _require_cells(cells: object) -> None:
+    if isinstance(cells, bool | np.bool_) or not isinstance(cells, int | np.integer):
+        raise TypeError(f"cells must be a whole number, got {cells!r}")
+    if not 2 <= cells <= _MOST_CELLS or cells & (cells - 1):
+        raise ValueError(f"cells must be a power of two from 2 to {_MOST_CELLS}, got {cells}")
+
+
+def _require_shape(shape: Any) -> None:  # noqa: ANN401
+    is_pair = isinstance(shape, tuple) and len(shape) == 2
+    if not is_pair or not all(isinstance(n, int | np.integer) and n >= 1 for n in shape):
+        raise ValueError(f"shape must be two whole numbers from 1 on, got {shape!r}")
+
+
+@dataclass(frozen=True)
+class Settled:
+    """What is known of a tiling once its borders are settled.
+
+    Attributes
+    ----------
+    borders : dict
+        What is kept on each border: (0 for the northern or 1 for the western one, row, column of a
+        tile) to a whole number with a bit for each node, from west or from north.
+    places : frozenset of (int, int)
+        Row and column of the tiles with any height.
+    largest_range : float
+        Largest difference of heights within a tile.
+    """
+
+    borders: Borders
+    places: frozenset[Place]
+    largest_range: float
+
+
 def checksum(
     rows: NDArray[np.integer[Any]],
     cols: NDArray[np.integer[Any]],
@@ -230,7 +306,7 @@ def settle_borders(
     *,
     executor: Executor | None = None,
     tell: Callable[[int, int], object] | None = None,
-) -> Borders:
+) -> Settled:
     """Return which vertices the mesh keeps on the borders of the tiles.
 
     Blocks of tiles are settled each by itself, then those whose neighbours keep more vertices on a
@@ -245,82 +321,123 @@ def settle_borders(
     tell : callable, optional
         Called with the number of tiles settled so far and of those in sight.
     """
-    run: Callable[..., Iterable[Borders]] = map if executor is None else executor.map
-    borders: Borders = {}
+    run: Callable[..., Iterable[Settled]] = map if executor is None else executor.map
+    whole = Settled({}, frozenset(), 0.0)
     pending = _by_block(tiling, tiling.tiles())
     done = 0
     while pending:
-        blocks = list(pending)
-        known = [_known(tiling, block, borders) for block in blocks]
-        todo = [pending[block] for block in blocks]
-        total = done + sum(map(len, todo))
+        blocks, todo = list(pending), list(pending.values())
+        known = [_known(tiling, block, whole.borders) for block in blocks]
+        in_sight = done + sum(map(len, todo))
         found: dict[Place, Borders] = {}
-        for block, result in zip(
-            blocks, run(partial(settle_block, tiling), blocks, todo, known), strict=True
-        ):
-            found[block] = result
+        parts = run(partial(settle_block, tiling), blocks, todo, known)
+        joined = dict(whole.borders)
+        for block, part in zip(blocks, parts, strict=True):
+            found[block] = part.borders
+            for edge, marks in part.borders.items():
+                joined[edge] = joined.get(edge, 0) | marks
+            whole = Settled(
+                whole.borders,
+                whole.places | part.places,
+                max(whole.largest_range, part.largest_range),
+            )
             done += len(pending[block])
             if tell is not None:
-                tell(done, total)
-        before = {edge: borders.get(edge, 0) for result in found.values() for edge in result}
-        for result in found.values():
-            for edge, marks in result.items():
-                borders[edge] = borders.get(edge, 0) | marks
-        unaware = _unaware(tiling, before, found, borders)
+                tell(done, in_sight)
+        unaware = _unaware(tiling, whole.borders, found, joined)
+        whole = replace(whole, borders=joined)
         pending = _by_block(tiling, unaware)
-    return borders
+    return whole
 
 
-def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borders) -> Borders:
+def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borders) -> Settled:
     """Settle some tiles of a block, and those of the block that they have a say in.
 
-    Returns the borders of all tiles that were looked at, with the marks ``known`` before.
+    ``known`` is what is known of all borders of the block's tiles. Returns the borders of the tiles
+    that were looked at, with more marks than before or as many.
     """
-    borders = dict(known)
-    tiles: dict[Place, _OpenTile] = {}
-    waiting = set(places)
-    unaware: deque[Place] = deque()
+    open_block = _OpenBlock(tiling, block, known)
+    open_block.settle(places)
+    tiles, borders = open_block.tiles, open_block.borders
+    return Settled(
+        {edge: borders[edge] for place in tiles for edge in tiling.edges(place)},
+        frozenset(place for place, tile in tiles.items() if not tile.is_void),
+        max((tile.range for tile in tiles.values()), default=0.0),
+    )
 
-    def exchange(place: Place) -> None:
-        waiting.discard(place)
-        tile, edges = tiles[place], tiling.edges(place)
-        tile.keep([borders.get(edge, 0) for edge in edges])
-        for edge, neighbour, marks in zip(
-            edges, tiling.neighbours(place), tile.marks(), strict=True
-        ):
-            if marks != borders.get(edge, 0):
-                borders[edge] = marks
-                if (
-                    neighbour is not None
-                    and _block_of(tiling, neighbour) == block
-                    and neighbour not in waiting
-                ):
-                    waiting.add(neighbour)
-                    unaware.append(neighbour)
 
-    for place, heights in tiling.read(places):
-        tiles[place] = _OpenTile(tiling, place, heights)
-        exchange(place)
-    while unaware:
-        place = unaware.popleft()
-        if place not in tiles:
-            ((_, heights),) = tiling.read([place])
-            tiles[place] = _OpenTile(tiling, place, heights)
-        exchange(place)
-    return {edge: borders[edge] for place in tiles for edge in tiling.edges(place)}
+class _OpenBlock:
+    """The tiles of a block while it is settled."""
+
+    def __init__(self, tiling: Tiling, block: Place, known: Borders) -> None:
+        self._tiling = tiling
+        self._block = block
+        self.borders = dict(known)
+        self.tiles: dict[Place, _OpenTile] = {}
+        self._waiting: set[Place] = set()
+
+    def settle(self, places: list[Place]) -> None:
+        """Settle these tiles, then all that know less than a neighbour, until none does."""
+        self._waiting.update(places)
+        unaware: deque[Place] = deque()
+        for place, heights in self._tiling.read(places):
+            self._open(place, heights)
+            unaware.extend(self._exchange(place))
+        while unaware:
+            place = unaware.popleft()
+            if place not in self.tiles:
+                for _, heights in self._tiling.read([place]):
+                    self._open(place, heights)
+            unaware.extend(self._exchange(place))
+
+    def _open(self, place: Place, heights: NDArray[np.floating[Any]]) -> None:
+        is_void = np.isnan(heights[1:-1, 1:-1]).all()
+        heights = heights if is_void else _filled(self._tiling, heights)
+        self.tiles[place] = _OpenTile(self._tiling, place, heights)
+
+    def _exchange(self, place: Place) -> Iterator[Place]:
+        """Keep what a tile's borders demand; yield the block's tiles that it demands more of."""
+        self._waiting.discard(place)
+        tile, edges = self.tiles[place], self._tiling.edges(place)
+        tile.keep([self.borders.get(edge, 0) for edge in edges])
+        beyond = zip(edges, tile.marks(), self._tiling.neighbours(place), strict=True)
+        for edge, marks, neighbour in beyond:
+            known = self.borders.get(edge, _given(self._tiling))
+            # A tile that goes round the world alone has one border in the west and in the east.
+            self.borders[edge] = marks | known
+            if marks == known:
+                continue
+            if neighbour is None or neighbour in self._waiting:
+                continue
+            if _block_of(self._tiling, neighbour) == self._block:
+                self._waiting.add(neighbour)
+                yield neighbour
 
 
 def _unaware(
-    tiling: Tiling, before: Borders, found: dict[Place, Borders], borders: Borders
+    tiling: Tiling, before: Borders, found: dict[Place, Borders], joined: Borders
 ) -> list[Place]:
-    """Return the tiles with a border on which the other side keeps more vertices than they know."""
+    """Return the tiles that know less of a border than the tile on its other side.
+
+    Blocks know what they found; those that had nothing to do know what was known before.
+    """
     places = set()
-    for edge in before:
+    for edge in {edge for borders in found.values() for edge in borders}:
         for place in _beside(tiling, edge):
-            own = found.get(_block_of(tiling, place), before).get(edge, before[edge])
-            if own != borders[edge]:
+            known = found.get(_block_of(tiling, place), before)
+            if known.get(edge, before.get(edge, _given(tiling))) != joined[edge]:
                 places.add(place)
     return sorted(places)
+
+
+def _given(tiling: Tiling) -> int:
+    """Return the marks of a border of which nothing is known: those that all tiles have."""
+    return _multiples(tiling.cells, tiling.largest_cell or tiling.cells)
+
+
+@cache
+def _multiples(cells: int, step: int) -> int:
+    return sum(1 << node for node in range(0, cells + 1, step))
 
 
 def _beside(tiling: Tiling, edge: Edge) -> Iterator[Place]:
@@ -372,15 +489,29 @@ def runs(places: list[Place]) -> Iterator[list[Place]]:
 def make_tiles(tiling: Tiling, places: Iterable[Place], borders: Borders) -> Iterator[Tile]:
     """Yield tiles, row by row, given all that is kept on their borders.
 
-    Tiles without a triangle are left out: those without heights, and where ``fill`` is None those
-    with no more than voids between them.
+    Where ``fill`` is a height, tiles without any are made as well; where it is None, tiles without
+    a triangle are left out.
     """
     for place, heights in tiling.read(places):
-        tile = _OpenTile(tiling, place, heights)
-        tile.keep([borders.get(edge, 0) for edge in tiling.edges(place)])
-        made = tile.made()
-        if made is not None:
-            yield made
+        tile = make_tile(tiling, place, heights, borders)
+        if tile is not None:
+            yield tile
+
+
+def make_tile(
+    tiling: Tiling, place: Place, heights: NDArray[np.floating[Any]], borders: Borders
+) -> Tile | None:
+    """Return one tile given its heights as ``Tiling.read`` yields them; None for no triangle."""
+    tile = _OpenTile(tiling, place, _filled(tiling, heights))
+    tile.keep([borders.get(edge, 0) for edge in tiling.edges(place)])
+    return tile.made()
+
+
+def _filled(tiling: Tiling, heights: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return heights whose voids have the height that the tiling gives them, if any."""
+    if tiling.fill is None:
+        return heights
+    return np.where(np.isnan(heights), heights.dtype.type(tiling.fill), heights)
 
 
 class OpenSquare:
@@ -458,16 +589,17 @@ class _OpenTile(OpenSquare):
         self._place = place
         self._ringed = ringed
         heights = ringed[1:-1, 1:-1]
-        voids = np.isnan(heights)
-        is_void = bool(voids.all())
-        if tiling.fill is not None and not is_void:
-            self._ringed = np.where(np.isnan(ringed), ringed.dtype.type(tiling.fill), ringed)
-            heights = self._ringed[1:-1, 1:-1]
-        is_complete = not is_void and (tiling.fill is not None or not voids.any())
         turned = sum(place) % 2 == 1
-        heights = np.ascontiguousarray(heights[:, ::-1] if turned else heights)
-        super().__init__(heights, is_complete, tiling.max_error, turned=turned)
+        own = np.ascontiguousarray(heights[:, ::-1] if turned else heights)
+        super().__init__(own, not np.isnan(own).any(), tiling.max_error, turned=turned)
         self.settle(_roots(tiling.cells))
+        if tiling.largest_cell is not None:
+            self.settle(_regular(tiling.cells, tiling.largest_cell))
+
+    @property
+    def range(self) -> float:
+        """Difference of the highest and the lowest height; 0 where there is none."""
+        return 0.0 if self.is_void else float(np.nanmax(self.heights) - np.nanmin(self.heights))
 
     def made(self) -> Tile | None:
         """Return the tile's mesh, None where it has no triangle."""
@@ -506,6 +638,15 @@ def _sides(cells: int, turned: bool) -> tuple[tuple[NDArray[np.intp], NDArray[np
     if turned:
         return (first, along[::-1]), (last, along[::-1]), (along, last), (along, first)
     return (first, along), (last, along), (along, first), (along, last)
+
+
+@cache
+def _regular(cells: int, step: int) -> NDArray[np.int64]:
+    """Return every step-th node along both axes of a tile, as work."""
+    from rtin._kernels.lattice import VERTEX, pack
+
+    rows, cols = np.mgrid[0 : cells + 1 : step, 0 : cells + 1 : step]
+    return pack(rows.ravel(), cols.ravel(), VERTEX)  # type: ignore[no-any-return]
 
 
 def _roots(cells: int) -> NDArray[np.int64]:

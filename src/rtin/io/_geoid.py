@@ -34,6 +34,10 @@ def undulation(heights: str, longitudes: Floats, latitudes: Floats) -> tuple[Flo
     return (np.where(np.isfinite(found), found, np.nan),)
 
 
+class MissingGeoid(ValueError):  # noqa: N818  (named as ValueError is)
+    """PROJ lacks the grid of a geoid."""
+
+
 def require_geoid(heights: str) -> None:
     """Raise ValueError, naming the missing grid, unless PROJ knows a vertical CRS's zero."""
     _transformer(heights)
@@ -55,7 +59,7 @@ def _transformer(heights: str) -> Any:  # noqa: ANN401
     grids = [grid.short_name for way in group.unavailable_operations for grid in way.grids]
     if not grids:
         raise ValueError(f"PROJ knows no way from {surface.name} to heights above the ellipsoid")
-    raise ValueError(
+    raise MissingGeoid(
         f"{surface.name} needs the grid {grids[0]}, which PROJ does not have; get it by "
         f"`pyproj sync --file {grids[0]}` and try again"
     )

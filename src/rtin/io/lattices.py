@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtin._crs import as_crs
 from rtin.grid import Grid
-from rtin.io._geoid import GEOIDS, require_geoid, undulation, vertical
+from rtin.io._geoid import GEOIDS, MissingGeoid, require_geoid, undulation, vertical
 from rtin.io._mosaic import Mosaic, joined
 from rtin.io._places import Nodes, Placement, smooth
 from rtin.io._windows import RasterFile, fingerprint
@@ -24,7 +24,14 @@ from rtin.schemes import Scheme
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = ["GridLattice", "RasterLattice", "WebLattice", "fingerprint", "native_zoom"]
+__all__ = [
+    "GridLattice",
+    "MissingGeoid",
+    "RasterLattice",
+    "WebLattice",
+    "fingerprint",
+    "native_zoom",
+]
 
 Span = tuple[int, int]
 Path = str | os.PathLike[str]

@@ -26,7 +26,7 @@ __all__ = [
     "write_mesh",
 ]
 
-_ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
+ENCODERS: dict[str, Callable[[PlacedMesh], bytes]] = {
     ".glb": _gltf.glb,
     ".obj": _polygons.obj,
     ".ply": _polygons.ply,
@@ -121,12 +121,12 @@ def write_mesh(
         If the file cannot be written. What was there before is still there.
     """
     _check(mesh)
-    suffix = _known_suffix(path, _ENCODERS)
+    suffix = _known_suffix(path, ENCODERS)
     placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
     with np.errstate(over="ignore"):
         shape = place(mesh, placed, base)
-    _check_range(shape.vertices, suffix)
-    write_bytes(path, _ENCODERS[suffix](shape))
+    require_range(shape.vertices, suffix)
+    write_bytes(path, ENCODERS[suffix](shape))
 
 
 def placement_of(
@@ -156,7 +156,7 @@ def placement_of(
     """
     require_mesh(mesh)
     z_scale = as_positive("z_scale", z_scale)
-    centred = _known_suffix(path, _ENCODERS) == ".stl"
+    centred = _known_suffix(path, ENCODERS) == ".stl"
     return placement(mesh, z_scale=z_scale, keep_degrees=keep_degrees, centred=centred)
 
 
@@ -172,7 +172,7 @@ def require_writable(path: str | os.PathLike[str]) -> None:
     OSError
         If the folder does not exist or may not be written to, or ``path`` is a folder.
     """
-    if _known_suffix(path, _ENCODERS).startswith(".vt"):
+    if _known_suffix(path, ENCODERS).startswith(".vt"):
         _vtk.require_pyvista()
     require_place(path)
 
@@ -271,7 +271,8 @@ def _check(mesh: TriangleMesh) -> None:
         raise ValueError("vertices must be finite, got some that are not")
 
 
-def _check_range(points: NDArray[np.float64], suffix: str) -> None:
+def require_range(points: NDArray[np.float64], suffix: str) -> None:
+    """Raise a ValueError if the numbers of a format can't hold these."""
     bits, limit = (32, _LARGEST_32_BIT) if suffix in _IN_32_BITS else (64, np.finfo(float).max)
     largest = max(points.max(), -points.min())
     if largest > limit:
