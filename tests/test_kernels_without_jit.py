@@ -22,6 +22,7 @@ CHOSEN = [
     "test_squared_error.py::test_is_the_best_of_all_meshes_around_voids_and_what_is_kept",
     "test_squared_error.py::test_a_budget_gets_at_least_the_best_set_that_fits",
     "test_squared_error.py::test_of_equal_parts_as_many_are_kept_as_fit",
+    "test_out_of_core.py::test_is_the_mesh_of_coarsen_on_any_terrain",
     "test_tiles.py::test_the_error_of_a_tile_is_what_its_samples_say",
     "test_tiles.py::test_a_tile_without_heights_passes_on_what_its_neighbours_keep",
     "test_criteria.py::test_eq_1_at_every_vertex",

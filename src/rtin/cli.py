@@ -922,7 +922,7 @@ def _lattice_beyond(
     from rtin.out_of_core import memory_of_coarsen
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # said when it is read
+        with warnings.catch_warnings(record=True, action="always") as caught:
             lattice: HeightLattice = _open_lattice(dem, band, window, encoding)
             needed = memory_of_coarsen(lattice)
     except (OSError, ValueError, TypeError, IndexError):
@@ -930,6 +930,8 @@ def _lattice_beyond(
     if needed <= _limit_or_usual(limit):
         return None
     if asked.keys() == {"max_error"}:
+        for warning in caught:  # of a raster that is read as a whole they come then
+            _say(_one_line(str(warning.message)))
         return lattice
     if limit is not None:
         raise MemoryError(
