@@ -62,7 +62,7 @@ class QuantizedMesh:
         step = height_step(largest_range)
         return gzipped(encode(tile, SCHEMES[self.scheme], zoom, step, normals=self.normals))
 
-    def rounding(self, largest_range: float) -> float:
+    def rounding(self, zoom: int, largest_range: float) -> float:  # noqa: ARG002
         """Return half the step in which heights are counted."""
         return height_step(largest_range) / 2.0
 

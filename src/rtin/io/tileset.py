@@ -44,7 +44,7 @@ class Format(Protocol):
     def encode(self, zoom: int, tile: Tile, largest_range: float) -> bytes:
         """Return the tile's file; within a tile of the zoom, heights differ by that at most."""
 
-    def rounding(self, largest_range: float) -> float:
+    def rounding(self, zoom: int, largest_range: float) -> float:
         """Return how far the format may move a height."""
 
     def roots(self, zoom: int) -> frozenset[Place]:
@@ -376,7 +376,7 @@ def _key(batch: _Batch, place: Place, heights: NDArray[np.floating[Any]]) -> byt
     """Return a digest of all that a tile's file depends on, but the settings of the whole."""
     digest = blake2b(heights.tobytes(), digest_size=16)
     borders = [batch.borders.get(edge, 0) for edge in batch.tiling.edges(place)]
-    rounding = batch.output.rounding(batch.largest_range)
+    rounding = batch.output.rounding(batch.zoom, batch.largest_range)
     digest.update(repr((borders, rounding)).encode())
     return digest.digest()
 
@@ -433,7 +433,7 @@ def _summaries(
         LevelSummary(
             zoom,
             levels[zoom].tiling.max_error,
-            error + output.rounding(levels[zoom].settled.largest_range),
+            error + output.rounding(zoom, levels[zoom].settled.largest_range),
             *counts,
         )
         for zoom, error, *counts in figures
