@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin.io._gltf import bounds, packed, y_up
-from rtin.schemes import SCHEMES, Scheme
+from rtin.pyramid import geometric_error
+from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
 from rtin.tiles import Place, Tile
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Tiles3D", "content", "position_step", "tileset_files"]
 
-_RADIUS = 6378137.0  # metres, of the equator
 _FLOAT32_STEPS = 2**24  # whole numbers up to this have a float32
 _MOST_SHORT = 65535  # vertices whose indices take two bytes; the last index has a meaning
 _ZOOMS_IN_FILE = 4
@@ -76,7 +76,13 @@ class Tiles3D:
     def skirt(self, zoom: int) -> float:
         """Return how far skirts hang down: as two surfaces two zooms apart may differ."""
         coarser = max(zoom - _ZOOMS_APART, min(self.tolerances))
-        return self.tolerances[zoom] + self.tolerances[coarser]
+        return sum(self.tolerances[each] + self._bulge(each) for each in (zoom, coarser))
+
+    def _bulge(self, zoom: int) -> float:
+        """Return how far the globe may lie above a chord across a tile, or the longest allowed."""
+        scheme = SCHEMES[self.scheme]
+        allowed = max(self.tolerances[zoom], geometric_error(scheme, zoom))
+        return min(_side(scheme, zoom) ** 2 / (4.0 * EQUATORIAL_RADIUS), allowed)
 
     def index(
         self, records: Callable[[], Iterator[TileRecord]], tolerances: dict[int, float]
@@ -98,8 +104,13 @@ def position_step(scheme: Scheme, zoom: int, largest_range: float) -> float:
     ``largest_range`` is the largest difference of heights within a tile, with its skirt. Counted
     from the middle of a tile, every vertex has exact float32 coordinates in this step.
     """
-    reach = 2.0 * pi * _RADIUS / (scheme.roots << zoom) + largest_range
+    reach = _side(scheme, zoom) + largest_range
     return float(2.0 ** ceil(log2(reach / _FLOAT32_STEPS)))
+
+
+def _side(scheme: Scheme, zoom: int) -> float:
+    """Return the side of a tile at the equator in metres."""
+    return 2.0 * pi * EQUATORIAL_RADIUS / (scheme.roots << zoom)
 
 
 def _stem(zoom: int, row: int, col: int) -> str:
@@ -320,15 +331,14 @@ class _Writer:
 
     def _side(self, zoom: int) -> float:
         """Return the side of a tile in metres, or the first tolerance where that is more."""
-        side = 2.0 * pi * _RADIUS / (self.scheme.roots << zoom)
-        return max(side, self.tolerances[min(self.tolerances)])
+        return max(_side(self.scheme, zoom), self.tolerances[min(self.tolerances)])
 
     def _region(self, zoom: int, number: int) -> list[float]:
         level = self.levels[zoom]
         west, south, east, north = self.scheme.bounds(zoom, *level.place(number))
         if self.scheme.crs == "EPSG:3857":
-            west, east = west / _RADIUS, east / _RADIUS
-            south, north = atan(sinh(south / _RADIUS)), atan(sinh(north / _RADIUS))
+            west, east = west / EQUATORIAL_RADIUS, east / EQUATORIAL_RADIUS
+            south, north = atan(sinh(south / EQUATORIAL_RADIUS)), atan(sinh(north / EQUATORIAL_RADIUS))
         else:
             west, south, east, north = map(radians, (west, south, east, north))
         heights = float(level.lows[number]), float(level.highs[number])
