@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
-    from rtin.io.tile_jobs import Job
+    from rtin.io.tile_jobs import TileJob
     from rtin.io.tileset import Summary
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
@@ -561,8 +561,6 @@ def tiles(
                "attribution": attribution},
     )  # fmt: skip
     with _one_line_errors():
-        from rtin.io.tileset import write_tileset
-
         started = time.perf_counter()
         with _progress(f"looking at {_listed(dems)}"):
             job = job_of()
@@ -574,10 +572,7 @@ def tiles(
             _workers(workers or (1 if few else None), scheduler) as executor,
             _progress_bar(f"making {out}") as tell,
         ):
-            made = write_tileset(
-                out, job.plan, job.output, settings=job.settings, sources=job.sources,
-                update=update, executor=executor, tell=tell,
-            )  # fmt: skip
+            made = job.write(out, update=update, executor=executor, tell=tell)
         seconds = time.perf_counter() - started
         _report_tiles(job, dems, out, made, seconds, as_json)
 
@@ -603,7 +598,7 @@ def _tile_job(
     band: int,
     encoding: str | None,
     world: dict[str, Any],
-) -> Job:
+) -> TileJob:
     """Return the job that the options ask for."""
     from rtin.io.tile_jobs import raster_tiles, world_tiles
 
@@ -647,7 +642,7 @@ def _listed(paths: list[Path]) -> str:
 
 
 def _report_tiles(
-    job: Job, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
+    job: TileJob, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
 ) -> None:
     n_nodes = sum(level.n_tiles for level in made.levels) * job.plan.cells**2
     summary: dict[str, Any] = {

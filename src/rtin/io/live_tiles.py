@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rtin.io.quantized_mesh import QuantizedMesh
-from rtin.io.tile_jobs import Job
+from rtin.io.tile_jobs import TileJob
 from rtin.io.tileset import TileRecord
 from rtin.pyramid import prepare, shares
 from rtin.schemes import SCHEMES, Scheme
@@ -22,7 +22,7 @@ class LiveTiles:
 
     Parameters
     ----------
-    job : Job
+    job : TileJob
         Of terrain: ``world_tiles(paths, "terrain")``.
     folder : Path
         For the heights of coarser zooms and what is kept on borders; this job's own.
@@ -39,7 +39,7 @@ class LiveTiles:
 
     def __init__(
         self,
-        job: Job,
+        job: TileJob,
         folder: Path,
         *,
         executor: Executor | None = None,

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import atan, degrees, pi, sinh, sqrt
 from typing import Any, Literal
 
 from rtin._options import as_height, require_word
 from rtin.grid import lattice_size
-from rtin.io.tileset import Format
+from rtin.io.tileset import Format, Summary, write_tileset
 from rtin.pyramid import Plan, geometric_error, tolerances
 from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
 from rtin.tiles import HeightLattice
 
-__all__ = ["Job", "raster_tiles", "world_tiles"]
+__all__ = ["TileJob", "raster_tiles", "world_tiles"]
 
 _CELLS_OF_WORLD = 64  # as CesiumJS takes terrain to have
 _CELLS_OF_RASTER = 1024
@@ -28,8 +29,8 @@ Zooms = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
-class Job:
-    """What ``rtin.io.tileset.write_tileset`` takes.
+class TileJob:
+    """Tiles to be made: what ``rtin.io.tileset.write_tileset`` takes.
 
     Attributes
     ----------
@@ -47,6 +48,26 @@ class Job:
     sources: dict[str, str]
     notes: list[str]
 
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        update: bool = False,
+        executor: Executor | None = None,
+        tell: Callable[[float], object] | None = None,
+    ) -> Summary:
+        """Make the tiles in a folder, as far as they are not there yet: see ``write_tileset``."""
+        return write_tileset(
+            folder,
+            self.plan,
+            self.output,
+            settings=self.settings,
+            sources=self.sources,
+            update=update,
+            executor=executor,
+            tell=tell,
+        )
+
 
 def world_tiles(
     paths: Sequence[str | os.PathLike[str]],
@@ -63,7 +84,7 @@ def world_tiles(
     about: dict[str, str] | None = None,
     band: int = 1,
     encoding: Any = None,  # noqa: ANN401
-) -> Job:
+) -> TileJob:
     """Return the job of tiles for a globe, from rasters in any CRS.
 
     Parameters
@@ -142,7 +163,7 @@ def raster_tiles(
     cells: int = _CELLS_OF_RASTER,
     band: int = 1,
     encoding: Any = None,  # noqa: ANN401
-) -> Job:
+) -> TileJob:
     """Return the job of a mesh file for each tile of a raster's own lattice.
 
     Parameters
@@ -191,7 +212,7 @@ def raster_tiles(
 
 def _job(
     plan: Plan, output: Format, settings: dict[str, Any], names: list[str], notes: list[str]
-) -> Job:
+) -> TileJob:
     from rtin.io.lattices import fingerprint
 
     settings = {
@@ -200,7 +221,7 @@ def _job(
         "cells": plan.cells,
         "fill": plan.fill,
     }
-    return Job(plan, output, settings, dict(zip(names, fingerprint(names), strict=True)), notes)
+    return TileJob(plan, output, settings, dict(zip(names, fingerprint(names), strict=True)), notes)
 
 
 def _names(paths: Sequence[str | os.PathLike[str]]) -> list[str]:
