@@ -44,7 +44,7 @@ def extent(places, period):
         for j in range(places.shape[1]):
             if not abs(places[i, j]) < FARTHEST:
                 continue
-            whole = int(math.floor(places[i, j]))
+            whole = math.floor(places[i, j])
             if lowest > highest:
                 lowest = highest = origin = whole
             if period > 0:
@@ -126,7 +126,7 @@ def fill_heights(samples, first_row, first_col, period, rows, cols, scale, rises
                 continue
             whole_row, whole_col = math.floor(y), math.floor(x)
             v, u = y - whole_row, x - whole_col
-            row, col = int(whole_row) - first_row, int(whole_col) - first_col
+            row, col = whole_row - first_row, whole_col - first_col
             if period > 0:
                 col %= period
             height = np.inf
