@@ -237,10 +237,11 @@ class Placement:
 
 
 def _snapped(places: Floats) -> Floats:
-    """Return whole rows and columns where the places are within a millionth of one."""
-    nearest = np.rint(places)
-    with np.errstate(invalid="ignore"):
-        return np.ascontiguousarray(np.where(np.abs(places - nearest) < _SNAP, nearest, places))
+    """Move places, where they are, to whole rows and columns within a millionth of a cell."""
+    from rtin._kernels.lattices import snap
+
+    snap(places, _SNAP)
+    return places
 
 
 def smooth(
