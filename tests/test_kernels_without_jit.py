@@ -47,6 +47,8 @@ CHOSEN = [
     "test_terrain_difference.py::test_is_the_sum_over_all_pairs_of_triangles",
     "test_sampling.py::test_takes_what_metro_takes",
     "test_sampling.py::test_all_edges_get_points",
+    "test_lattices.py::test_heights_are_bilinear_between_the_samples[UTM]",
+    "test_lattices.py::test_an_l_of_rasters_has_no_hole_at_its_inner_corner",
 ]
 # Notes every kernel that runs, so that one left out of the tests above is found.
 PROGRAM = """

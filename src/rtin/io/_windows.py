@@ -149,8 +149,7 @@ class RasterFile:
             values: NDArray[Any] = opened[slice(*rows), slice(*cols)].astype(self.dtype, order="C")
             return values
         with gdal_at_work(self.name):
-            values = read_heights(opened, self.name, (rows, cols), self.band, self.encoding)
-        return values
+            return read_heights(opened, self.name, (rows, cols), self.band, self.encoding)
 
 
 class _OpenFiles(threading.local):

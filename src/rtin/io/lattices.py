@@ -30,6 +30,7 @@ __all__ = [
     "RasterLattice",
     "WebLattice",
     "fingerprint",
+    "heights_as_given",
     "native_zoom",
 ]
 
@@ -272,7 +273,7 @@ def _placed_files(paths: Sequence[Path], band: int, encoding: str | None) -> lis
     for file in files:
         if file.wkt is None:
             raise ValueError(
-                f"{file.name} has no CRS, so nobody knows where on Earth it lies; give it one, for "
+                f"{file.name} has no CRS; give it the one in which it lies on Earth, for "
                 "example with gdal_edit.py -a_srs"
             )
     return files
@@ -345,10 +346,10 @@ def _ring_of(spans: list[Span], period: int) -> Span:
     pieces = sorted(spans)
     gaps, reach = [], pieces[0][1]
     for first, end in pieces[1:]:
-        gaps.append((first - reach, first, reach))
+        gaps.append((first - reach, first))
         reach = max(reach, end)
-    gaps.append((pieces[0][0] + period - reach, pieces[0][0], reach))
-    size, first, last = max(gaps)
+    gaps.append((pieces[0][0] + period - reach, pieces[0][0]))
+    size, first = max(gaps)
     if size <= 0:
         return 0, period
     return _on_ring(first, first + period - size, period)
