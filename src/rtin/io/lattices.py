@@ -240,7 +240,9 @@ class WebLattice:
 
 
 def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
-    """Return the smallest zoom whose nodes are at least as close as the finest raster's samples.
+    """Return the zoom whose nodes are as close as the finest raster's samples, or nearest to that.
+
+    They are at most √2 times as far apart: a whole zoom more would make four times the tiles.
 
     Distances are those in the scheme's CRS at the middle of each raster, along its rows or its
     columns, whichever are closer; the zoom is at most 24. Raises what ``WebLattice`` raises.
@@ -248,7 +250,7 @@ def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
     nodes = Nodes(scheme, 0, cells)
     files = _placed_files(paths, 1, "none")
     steps = [_sample_step(Mosaic((file,), ((0, 0),)).placement, nodes) for file in files]
-    zoom = math.ceil(math.log2(1.0 / min(steps)) - 1e-6)
+    zoom = math.ceil(math.log2(1.0 / min(steps)) - 0.5)
     return min(max(zoom, 0), _LARGEST_ZOOM)
 
 

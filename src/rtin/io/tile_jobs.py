@@ -96,8 +96,8 @@ def world_tiles(
     scheme : {"geographic", "mercator"}
         How the world is cut.
     zoom : (int or None, int or None)
-        First and last. By default from 0 to the first zoom whose nodes are not farther apart than
-        the samples of the finest raster. Terrain always begins at 0, where CesiumJS does.
+        First and last. By default from 0 to the zoom whose nodes are as close as the samples of the
+        finest raster, or nearest to that. Terrain always begins at 0, where CesiumJS does.
     max_error : sequence of float
         Tolerances in metres: one for the last zoom, doubled for each coarser one, or one for each
         zoom. By default ``error_factor`` times the error that CesiumJS takes a zoom to have.
