@@ -269,7 +269,7 @@ from rtin.distributed import cluster
 if __name__ == "__main__":
     try:
         with cluster(workers=2) as executor:
-            results = executor.map(time.sleep, [0, 0, 60, 60])
+            results = executor.map(time.sleep, [0, 0, 40, 40])
             next(results)
             print("working", flush=True)
             list(results)
@@ -290,5 +290,5 @@ def test_ctrl_c_ends_it_without_a_word(tmp_path):
     ) as process:
         assert process.stdout.readline() == "working\n"
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers get it too
-        out, err = process.communicate(timeout=50)
+        out, err = process.communicate(timeout=30)
     assert (out, err, process.returncode) == ("interrupted\n", "", 0)

@@ -8,11 +8,12 @@ depend on that: they don't depend on any executor.
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
 from time import monotonic
@@ -177,7 +178,20 @@ def _here(n_workers: int) -> Iterator[Client]:
         preload=__name__,
     )
     with local, distributed.Client(local, set_as_default=False) as client:
-        yield client
+        try:
+            yield client
+        except BaseException:
+            _abandon(local.workers.values())
+            raise
+
+
+def _abandon(nannies: Iterable[Any]) -> None:
+    """End workers at once: closed in Dask's way, they may finish what they have in hand first."""
+    for nanny in nannies:
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
 
 
 @contextmanager

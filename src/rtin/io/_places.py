@@ -171,7 +171,7 @@ class Placement:
             x, y = np.radians(longitudes) * _RADIUS, _mercator_y(np.clip(latitudes, -89.9, 89.9))
         a, _, x0, _, e, y0 = self.place
         rows, cols = (y - y0) / e, (self._turned(x) - x0) / a
-        return _snapped(rows)[:, None], _snapped(cols)[None, :]
+        return _snapped(rows[:, None]), _snapped(cols[None, :])
 
     def _on_raster(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         a, b, x0, d, e, y0 = self.place

@@ -83,8 +83,7 @@ class PlainMeshes:
         suffix = f".{self.extension}"
         meshes.require_range(placed.vertices, suffix)
         if self.extension == "glb":
-            x_scale, y_scale, _ = self.placement.scale
-            return _glb(tile, placed, Affine.scale(x_scale, y_scale) * transform)
+            return _glb(tile, placed, self._in_file(transform))
         return meshes.ENCODERS[suffix](placed)
 
     def rounding(self, zoom: int, largest_range: float) -> float:  # noqa: ARG002
@@ -122,7 +121,15 @@ class PlainMeshes:
         }
 
     def _transform(self, zoom: int) -> Affine:
-        return self.transform * Affine.scale(2.0 ** (self.last - zoom))
+        step = 2.0 ** (self.last - zoom)
+        a, b, c, d, e, f = self.transform[:6]
+        return Affine(step * a, step * b, c, step * d, step * e, f)
+
+    def _in_file(self, transform: Affine) -> Affine:
+        """Return what maps nodes to x and y in the file, but for a shift."""
+        x_scale, y_scale, _ = self.placement.scale
+        a, b, _, d, e, _ = transform[:6]
+        return Affine(x_scale * a, x_scale * b, 0.0, y_scale * d, y_scale * e, 0.0)
 
 
 def mesh_of(tile: Tile, transform: Affine, crs: Any = None) -> TriangleMesh:  # noqa: ANN401
@@ -147,7 +154,7 @@ def mesh_of(tile: Tile, transform: Affine, crs: Any = None) -> TriangleMesh:  # 
 
 
 def _glb(tile: Tile, placed: PlacedMesh, transform: Affine) -> bytes:
-    """Return a tile's GLB; ``transform`` maps its nodes to x and y in the file."""
+    """Return a tile's GLB; ``transform`` maps steps between nodes to those in the file."""
     step = _position_step(tile.cells, transform)
     steps = np.rint(placed.vertices[:, :2] / step)
     centre = np.rint((steps.min(axis=0) + steps.max(axis=0)) / 2.0)
