@@ -1449,6 +1449,7 @@ class _Shown:
     def __init__(self, what: str, stack: ExitStack) -> None:
         self._what, self._stack = what, stack
         self._update: Callable[[float], None] | None = None
+        self._began = time.monotonic()
         self._said = math.inf
 
     def begin(self) -> None:
@@ -1463,11 +1464,12 @@ class _Shown:
             TaskProgressColumn,
             TextColumn,
             TimeElapsedColumn,
+            TimeRemainingColumn,
         )
 
         progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), TaskProgressColumn(),
-            TimeElapsedColumn(), console=Console(stderr=True), transient=True,
+            TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
         )  # fmt: skip
         self._stack.enter_context(progress)
         task = progress.add_task(f"rtin: {self._what} …", total=None)
@@ -1478,7 +1480,9 @@ class _Shown:
             self._update(share)
         elif time.monotonic() - self._said > _SECONDS_BETWEEN_LINES:
             self._said = time.monotonic()
-            _say(f"{self._what}: {100 * share:.0f} %")
+            left = (self._said - self._began) * (1.0 / share - 1.0) if share > 0.0 else math.inf
+            about = f", about {left:.0f} s left" if left < math.inf else ""
+            _say(f"{self._what}: {100 * share:.0f} %{about}")
 
 
 @contextmanager
