@@ -1469,7 +1469,8 @@ class _Shown:
 
         progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), TaskProgressColumn(),
-            TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+            TimeElapsedColumn(), TimeRemainingColumn(),
+            console=Console(stderr=True), transient=True,
         )  # fmt: skip
         self._stack.enter_context(progress)
         task = progress.add_task(f"rtin: {self._what} …", total=None)
