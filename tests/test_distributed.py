@@ -269,8 +269,8 @@ from rtin.distributed import cluster
 if __name__ == "__main__":
     try:
         with cluster(workers=2) as executor:
-            results = executor.map(time.sleep, [0, 0, 40, 40])
-            next(results)
+            results = executor.map(time.sleep, [40, 40])
+            time.sleep(1)  # until both are under way
             print("working", flush=True)
             list(results)
     except KeyboardInterrupt:
