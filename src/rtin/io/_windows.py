@@ -56,7 +56,7 @@ def _fingerprint(name: str) -> str:
         path = Path(file)
         state = path.stat() if path.exists() else None
         states.append((str(path.resolve()), state and (state.st_size, state.st_mtime_ns)))
-    return hashlib.sha256(repr((name, states)).encode()).hexdigest()[:24]
+    return hashlib.sha256(repr(states).encode()).hexdigest()[:24]
 
 
 def _files(name: str, found: set[str]) -> set[str]:

@@ -221,7 +221,13 @@ def _job(
         "cells": plan.cells,
         "fill": plan.fill,
     }
-    return TileJob(plan, output, settings, dict(zip(names, fingerprint(names), strict=True)), notes)
+    return TileJob(
+        plan,
+        output,
+        settings,
+        dict(zip(map(os.path.abspath, names), fingerprint(names), strict=True)),
+        notes,
+    )
 
 
 def _names(paths: Sequence[str | os.PathLike[str]]) -> list[str]:
