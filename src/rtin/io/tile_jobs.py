@@ -280,16 +280,19 @@ def _lattice(
     raster: dict[str, Any],
 ) -> tuple[HeightLattice, list[str]]:
     """Return the nodes of the last zoom, and what is to be said about their heights."""
-    from rtin.io.lattices import MissingGeoid, WebLattice
+    from rtin.io.lattices import MissingGeoid, WebLattice, heights_as_given
 
     as_given = "heights are taken as metres above the ellipsoid, as they are"
-    if geoid is None:
-        note = f"{as_given}; --geoid egm2008 raises those above sea level by the geoid"
-        return WebLattice(names, scheme, zoom, cells, **raster), [note]
-    try:
-        return WebLattice(names, scheme, zoom, cells, geoid=geoid, **raster), []
-    except MissingGeoid as error:
-        return WebLattice(names, scheme, zoom, cells, **raster), [f"{error}; {as_given}"]
+    if geoid is not None:
+        try:
+            return WebLattice(names, scheme, zoom, cells, geoid=geoid, **raster), []
+        except MissingGeoid as error:
+            notes = [f"{error}; {as_given}"]
+    elif heights_as_given(names):
+        notes = [f"{as_given}; --geoid egm2008 raises those above sea level by the geoid"]
+    else:
+        notes = []
+    return WebLattice(names, scheme, zoom, cells, **raster), notes
 
 
 def _format(kind: str, scheme: str, plan: Plan, normals: bool, about: dict[str, str]) -> Format:
