@@ -85,9 +85,8 @@ def test_nodata_scale_and_type_are_those_of_a_grid(dtype, attributes):
     stored = np.where(terrains.pond((40, 33)), 9999, heights).astype(dtype)
     data = array_of(stored, attrs={"_FillValue": 9999, **attributes}).chunk(16)
     assert_is_the_whole_mesh(data.rio.write_crs("EPSG:32628"), 16, 2.0)
-    assert np.isnan(
-        DataArrayLattice(data).read((0, 40), (0, 33))
-    ).sum() == 64 * 0 + np.count_nonzero(terrains.pond((40, 33)))
+    voids = np.isnan(DataArrayLattice(data).read((0, 40), (0, 33)))
+    np.testing.assert_array_equal(voids, terrains.pond((40, 33)))
 
 
 def test_whole_numbers_that_float64_cannot_hold_are_refused():
@@ -142,7 +141,7 @@ def test_nothing_is_computed_before_it_is_asked_for_and_then_only_what_is_touche
     assert set(computed) == set(np.ndindex(2, 2))
 
 
-def test_no_more_than_a_few_rows_of_tiles_are_computed_at_once():
+def test_no_more_than_a_row_of_tiles_is_computed_at_once():
     sizes = []
 
     class Watched(DataArrayLattice):
@@ -153,7 +152,7 @@ def test_no_more_than_a_few_rows_of_tiles_are_computed_at_once():
     lattice = Watched(array_of(terrain((300, 300))).chunk(64))
     tiles = rtin.accessor.TileMeshes(rtin.tiles.Tiling.of_raster(lattice, 16, 2.0))
     tiles.mesh()
-    assert max(sizes) <= 19 * 303
+    assert max(sizes) == (16 + 3) * (19 * 16 + 3)
 
 
 @old_affine

@@ -22,6 +22,7 @@ CHOSEN = [
     "test_squared_error.py::test_is_the_best_of_all_meshes_around_voids_and_what_is_kept",
     "test_squared_error.py::test_a_budget_gets_at_least_the_best_set_that_fits",
     "test_squared_error.py::test_of_equal_parts_as_many_are_kept_as_fit",
+    "test_out_of_core.py::test_is_the_mesh_of_coarsen_on_any_terrain",
     "test_tiles.py::test_the_error_of_a_tile_is_what_its_samples_say",
     "test_tiles.py::test_a_tile_without_heights_passes_on_what_its_neighbours_keep",
     "test_criteria.py::test_eq_1_at_every_vertex",
@@ -47,6 +48,8 @@ CHOSEN = [
     "test_sampling.py::test_takes_what_metro_takes",
     "test_tiles3d.py::test_skirts_hang_from_no_hole",
     "test_sampling.py::test_all_edges_get_points",
+    "test_lattices.py::test_heights_are_bilinear_between_the_samples[UTM]",
+    "test_lattices.py::test_an_l_of_rasters_has_no_hole_at_its_inner_corner",
 ]
 # Notes every kernel that runs, so that one left out of the tests above is found.
 PROGRAM = """

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import rasterio
+import rasterio.control
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -300,6 +301,26 @@ def test_a_raster_beyond_the_limit_gives_the_same_file(dem, tmp_path, name, wind
     assert in_tiles.pop("achieved") == pytest.approx(whole.pop("achieved"), rel=1e-12)
     del in_tiles["seconds"], whole["seconds"]
     assert in_tiles == whole
+
+
+@pytest.mark.filterwarnings("always")
+def test_what_is_odd_about_a_raster_is_said_in_tiles_too(tmp_path):
+    path, heights = tmp_path / "dem.tif", terrains.waves((600, 600)).astype(np.float32)
+    heights[9, 9] = -9999.0
+    profile = {"driver": "GTiff", "height": 600, "width": 600, "count": 1, "dtype": "float32"}
+    points = [rasterio.control.GroundControlPoint(i, j, i, j) for i, j in ((0, 0), (9, 0), (0, 9))]
+    with rasterio.open(path, "w", **profile, gcps=points, crs="EPSG:4326") as dataset:
+        dataset.write(heights, 1)
+    said = []
+    for memory in ("1MB", "1GB"):
+        options = ("--max-error", 99, "--memory", memory, "--json")
+        result = run("coarsen", path, tmp_path / "a.glb", *options)
+        notes = json.loads(result.stdout)["notes"]
+        others = [note for note in notes if "in tiles" not in note]
+        said.append((result.stderr.splitlines()[0], others))
+        assert "ground control" in result.stderr
+        assert "undeclared nodata" in str(notes)
+    assert said[0] == said[1]
 
 
 def test_other_options_beyond_the_limit_are_refused_with_advice(dem, tmp_path):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         to_triangulation,
         write_mesh,
     )
+    from rtin.io.tile_jobs import TileJob, raster_tiles, world_tiles
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference, terrain_difference
     from rtin.plotting import plot
@@ -38,6 +39,7 @@ _MODULE_OF = {
     "Propagation": "rtin.conformity",
     "SurfaceDistance": "rtin.distance",
     "TerrainDifference": "rtin.overlay",
+    "TileJob": "rtin.io.tile_jobs",
     "TriangleMesh": "rtin.mesh",
     "VerticalError": "rtin.criteria",
     "coarsen": "rtin.coarsening",
@@ -49,6 +51,7 @@ _MODULE_OF = {
     "hausdorff": "rtin.distance",
     "plot": "rtin.plotting",
     "propagation": "rtin.conformity",
+    "raster_tiles": "rtin.io.tile_jobs",
     "read_grid": "rtin.io",
     "read_mesh": "rtin.io",
     "refine": "rtin.refinement",
@@ -58,6 +61,7 @@ _MODULE_OF = {
     "to_triangulation": "rtin.io",
     "vertex_errors": "rtin.criteria",
     "vertical_error": "rtin.criteria",
+    "world_tiles": "rtin.io.tile_jobs",
     "write_mesh": "rtin.io",
 }
 _SUBMODULES = ("io", "samples", "validity")
@@ -69,6 +73,7 @@ __all__ = [
     "Propagation",
     "SurfaceDistance",
     "TerrainDifference",
+    "TileJob",
     "TriangleMesh",
     "VerticalError",
     "__version__",
@@ -81,6 +86,7 @@ __all__ = [
     "hausdorff",
     "plot",
     "propagation",
+    "raster_tiles",
     "read_grid",
     "read_mesh",
     "refine",
@@ -90,6 +96,7 @@ __all__ = [
     "to_triangulation",
     "vertex_errors",
     "vertical_error",
+    "world_tiles",
     "write_mesh",
 ]
 

@@ -11,11 +11,12 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -23,9 +24,11 @@ import typer
 from rtin._version import __version__
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
-    from rtin.io.tile_jobs import Job
+    from rtin.io.tile_jobs import TileJob
     from rtin.io.tileset import Summary
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
@@ -118,6 +121,53 @@ _KeepDegrees = Annotated[
 ]
 _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
 
+_Zoom = Annotated[
+    str | None,
+    typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
+]
+_MaxErrors = Annotated[
+    str | None,
+    typer.Option(
+        "--max-error",
+        metavar="HEIGHTS",
+        help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
+        "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
+    ),
+]
+_Scheme = Annotated[
+    Literal["geographic", "mercator"],
+    typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
+]
+_Cells = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
+        show_default=False,
+    ),
+]
+_Fill = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HEIGHT",
+        help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
+        show_default=False,
+    ),
+]
+_Geoid = Annotated[
+    Literal["egm2008", "egm96"] | None,
+    typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
+]
+_NoNormals = Annotated[
+    bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
+]
+_Attribution = Annotated[
+    str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
+]
+_Workers = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Processes; as many as processors.", show_default=False),
+]
 
 _interrupted = threading.Event()
 
@@ -470,55 +520,23 @@ def tiles(
             help="Quantized-mesh terrain or 3D Tiles for a globe, or a mesh file for each tile.",
         ),
     ] = "terrain",
-    zoom: Annotated[
-        str | None,
-        typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
-    ] = None,
-    max_error: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHTS",
-            help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
-            "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
-        ),
-    ] = None,
-    scheme: Annotated[
-        Literal["geographic", "mercator"],
-        typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
-    ] = "geographic",
-    cells: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
-            show_default=False,
-        ),
-    ] = None,
-    fill: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HEIGHT",
-            help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
-            show_default=False,
-        ),
-    ] = None,
-    geoid: Annotated[
-        Literal["egm2008", "egm96"] | None,
-        typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
-    ] = None,
-    no_normals: Annotated[
-        bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
-    ] = False,
-    attribution: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
-    ] = None,
+    zoom: _Zoom = None,
+    max_error: _MaxErrors = None,
+    scheme: _Scheme = "geographic",
+    cells: _Cells = None,
+    fill: _Fill = None,
+    geoid: _Geoid = None,
+    no_normals: _NoNormals = False,
+    attribution: _Attribution = None,
     update: Annotated[
         bool, typer.Option("--update", help="Make anew what a changed raster touches.")
     ] = False,
-    workers: Annotated[
-        int | None,
+    workers: _Workers = None,
+    scheduler: Annotated[
+        str | None,
         typer.Option(
-            metavar="N", min=1, help="Processes; as many as processors.", show_default=False
+            metavar="ADDRESS",
+            help="Dask cluster to work, such as tcp://10.0.0.1:8786; it must see the same files.",
         ),
     ] = None,
     band: _Band = 1,
@@ -531,6 +549,10 @@ def tiles(
     """
     if len(paths) < 2:
         raise typer.BadParameter("at least one raster and the folder to fill are wanted")
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("give --workers or --scheduler, not both")
+        paths = [path.absolute() for path in paths]  # its workers are in folders of their own
     *dems, out = paths
     job_of = partial(
         _tile_job, dems, kind, zoom=_zooms_of(zoom),
@@ -539,23 +561,31 @@ def tiles(
                "attribution": attribution},
     )  # fmt: skip
     with _one_line_errors():
-        from rtin import _parallel
-        from rtin.io.tileset import write_tileset
-
         started = time.perf_counter()
         with _progress(f"looking at {_listed(dems)}"):
             job = job_of()
         for note in job.notes:
             _say(note)
         _say_if_not_compiled()
-        number = workers or (_parallel.thread_count() if job.plan.n_tiles > _FEW_TILES else 1)
-        with _parallel.processes(number) as executor, _progress_bar(f"making {out}") as tell:
-            made = write_tileset(
-                out, job.plan, job.output, settings=job.settings, sources=job.sources,
-                update=update, executor=executor, tell=tell,
-            )  # fmt: skip
+        few = job.plan.n_tiles <= _FEW_TILES
+        with (
+            _workers(workers or (1 if few else None), scheduler) as executor,
+            _progress_bar(f"making {out}") as tell,
+        ):
+            made = job.write(out, update=update, executor=executor, tell=tell)
         seconds = time.perf_counter() - started
         _report_tiles(job, dems, out, made, seconds, as_json)
+
+
+def _workers(number: int | None, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+    """Return what gives an executor: of a Dask cluster, or of processes here."""
+    if scheduler is not None:
+        from rtin.distributed import cluster
+
+        return cluster(scheduler)
+    from rtin import _parallel
+
+    return _parallel.processes(number or _parallel.thread_count())
 
 
 def _tile_job(
@@ -568,7 +598,7 @@ def _tile_job(
     band: int,
     encoding: str | None,
     world: dict[str, Any],
-) -> Job:
+) -> TileJob:
     """Return the job that the options ask for."""
     from rtin.io.tile_jobs import raster_tiles, world_tiles
 
@@ -612,7 +642,7 @@ def _listed(paths: list[Path]) -> str:
 
 
 def _report_tiles(
-    job: Job, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
+    job: TileJob, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
 ) -> None:
     n_nodes = sum(level.n_tiles for level in made.levels) * job.plan.cells**2
     summary: dict[str, Any] = {
@@ -633,6 +663,63 @@ def _report_tiles(
         counts = f"{level.n_tiles:>9}{level.n_vertices:>12}{level.n_triangles:>12}"
         print(f"{level.zoom:>6}{counts}{level.tolerance:>12.6g}{level.max_error:>12.6g}")
     _report(summary, as_json)
+
+
+@app.command()
+def serve(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TILES|DEM...", help="A folder that rtin tiles has filled, or rasters."
+        ),
+    ],
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
+    cesium: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Where npm has installed CesiumJS, if not here."),
+    ] = None,
+    zoom: _Zoom = None,
+    max_error: _MaxErrors = None,
+    scheme: _Scheme = "geographic",
+    cells: _Cells = None,
+    fill: _Fill = None,
+    geoid: _Geoid = None,
+    no_normals: _NoNormals = False,
+    attribution: _Attribution = None,
+    workers: _Workers = None,
+    band: _Band = 1,
+    encoding: _Encoding = None,
+) -> None:
+    """Serve terrain tiles over HTTP, with pages that show them.
+
+    The tiles of rasters are made when they are asked for, and are those that rtin tiles would
+    write. Options from --zoom on are for rasters.
+    """
+    with _one_line_errors(), ExitStack() as stack:
+        from rtin import serve as server
+
+        if len(paths) == 1 and paths[0].is_dir():
+            server.run(server.FolderStore(paths[0]), host, port, cesium=cesium, say=_tell)
+            return
+        from rtin.io.live_tiles import LiveTiles
+
+        job = _tile_job(
+            paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
+            cells=cells, band=band, encoding=encoding,
+            world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
+                   "attribution": attribution},
+        )  # fmt: skip
+        for note in job.notes:
+            _say(note)
+        _say_if_not_compiled()
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="rtin-serve-")))
+        with (
+            _workers(workers or (1 if job.plan.n_tiles <= _FEW_TILES else None), None) as executor,
+            _progress_bar(f"preparing {_listed(paths)}") as tell,
+        ):
+            live = LiveTiles(job, folder, executor=executor, tell=tell)
+        server.run(live, host, port, cesium=cesium, say=_tell)
 
 
 @app.command()
@@ -830,7 +917,7 @@ def _lattice_beyond(
     from rtin.out_of_core import memory_of_coarsen
 
     try:
-        with warnings.catch_warnings(action="ignore"):  # said when it is read
+        with warnings.catch_warnings(record=True, action="always") as caught:
             lattice: HeightLattice = _open_lattice(dem, band, window, encoding)
             needed = memory_of_coarsen(lattice)
     except (OSError, ValueError, TypeError, IndexError):
@@ -838,6 +925,8 @@ def _lattice_beyond(
     if needed <= _limit_or_usual(limit):
         return None
     if asked.keys() == {"max_error"}:
+        for warning in caught:  # of a raster that is read as a whole they come then
+            _say(_one_line(str(warning.message)))
         return lattice
     if limit is not None:
         raise MemoryError(
@@ -1319,6 +1408,10 @@ def _readable(value: Any) -> str:  # noqa: ANN401
     return str(value)
 
 
+def _tell(message: str) -> None:
+    print(message, flush=True)
+
+
 def _say(message: str) -> None:
     print(f"rtin: {message}", file=sys.stderr, flush=True)
 
@@ -1356,6 +1449,7 @@ class _Shown:
     def __init__(self, what: str, stack: ExitStack) -> None:
         self._what, self._stack = what, stack
         self._update: Callable[[float], None] | None = None
+        self._began = time.monotonic()
         self._said = math.inf
 
     def begin(self) -> None:
@@ -1370,11 +1464,13 @@ class _Shown:
             TaskProgressColumn,
             TextColumn,
             TimeElapsedColumn,
+            TimeRemainingColumn,
         )
 
         progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), TaskProgressColumn(),
-            TimeElapsedColumn(), console=Console(stderr=True), transient=True,
+            TimeElapsedColumn(), TimeRemainingColumn(),
+            console=Console(stderr=True), transient=True,
         )  # fmt: skip
         self._stack.enter_context(progress)
         task = progress.add_task(f"rtin: {self._what} …", total=None)
@@ -1385,7 +1481,9 @@ class _Shown:
             self._update(share)
         elif time.monotonic() - self._said > _SECONDS_BETWEEN_LINES:
             self._said = time.monotonic()
-            _say(f"{self._what}: {100 * share:.0f} %")
+            left = (self._said - self._began) * (1.0 / share - 1.0) if share > 0.0 else math.inf
+            about = f", about {left:.0f} s left" if left < math.inf else ""
+            _say(f"{self._what}: {100 * share:.0f} %{about}")
 
 
 @contextmanager

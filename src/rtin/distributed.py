@@ -8,11 +8,12 @@ depend on that: they don't depend on any executor.
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
 from time import monotonic
@@ -58,7 +59,7 @@ def cluster(
         If both are given, or ``workers`` is no whole number from 1 on.
     ConnectionError
         If the scheduler can't be reached or has no workers, or lacks this version of rtin.
-    RuntimeError
+    OSError
         If one worker after another died at the same part of the work.
     """
     patience = as_number("timeout", timeout)
@@ -177,7 +178,20 @@ def _here(n_workers: int) -> Iterator[Client]:
         preload=__name__,
     )
     with local, distributed.Client(local, set_as_default=False) as client:
-        yield client
+        try:
+            yield client
+        except BaseException:
+            _abandon(local.workers.values())
+            raise
+
+
+def _abandon(nannies: Iterable[Any]) -> None:
+    """End workers at once: closed in Dask's way, they may finish what they have in hand first."""
+    for nanny in nannies:
+        nanny.auto_restart = False
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
 
 
 @contextmanager
@@ -240,7 +254,7 @@ def _one_line() -> Iterator[None]:
     try:
         yield
     except KilledWorker:
-        raise RuntimeError(
+        raise OSError(
             "one worker after another died at the same part of the work, most often for want of "
             "memory; give each worker more, or fewer threads"
         ) from None

@@ -53,7 +53,7 @@ _USUAL_CELLS, _FEWEST_CELLS = 1024, 64
 _LEAST_BLOCKS = 16  # at a time, before they are made smaller
 _USUAL_MEMORY = 1 << 30
 _MOST_NUMBERS = np.iinfo(np.int32).max
-_BYTES_OF_VERTEX = 120  # and of its two triangles
+_BYTES_OF_VERTEX = 150  # and of its two triangles
 _MOST_ROWS = 512  # of a band to measure
 _SETTLING = 0.7  # of the time
 _N_BITS = np.array([number.bit_count() for number in range(16)], np.uint8)
@@ -82,9 +82,9 @@ def coarsen_lattice(
         As in ``coarsen``; one number.
     memory : int
         Bytes that the work may take: a third goes to blocks of heights and marks, another one to
-        what is being read; and when these are done, 120 for each vertex while the mesh is put
-        together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few bits for each vertex kept,
-        and come on top.
+        what is being read; and when these are done, 150 for each vertex while the mesh is put
+        together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few
+        bits for each vertex kept, and come on top.
     cells : int, optional
         Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
         holds less than 16 such blocks. It has no influence on the result.

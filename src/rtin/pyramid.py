@@ -21,7 +21,7 @@ from rtin._decimated import DecimatedLattice, Recording
 from rtin.schemes import EQUATORIAL_RADIUS, Scheme
 from rtin.tiles import HeightLattice, Place, Settled, Tile, Tiling, make_tiles, settle_borders
 
-__all__ = ["Level", "Plan", "geometric_error", "prepare", "tolerances"]
+__all__ = ["Level", "Plan", "geometric_error", "prepare", "shares", "tolerances"]
 
 # CesiumJS: a quarter of the spacing at the equator of 65 heights along a tile of zoom 0.
 _EQUATOR = 2.0 * pi * EQUATORIAL_RADIUS
@@ -83,6 +83,8 @@ class Plan:
     largest_cells : dict of int to int, optional
         ``largest_cell`` of ``Tiling`` for each zoom; by default no tile is cut without need. For
         the zooms to be nested it must not be longer, on the ground, at a finer one.
+    margin : float
+        Share of the tolerances that is left to the rounding of a file format.
     """
 
     lattice: HeightLattice
@@ -91,6 +93,7 @@ class Plan:
     tolerances: dict[int, float]
     fill: float | None
     largest_cells: dict[int, int] | None = None
+    margin: float = 0.0
 
     @property
     def n_tiles(self) -> int:
@@ -101,7 +104,8 @@ class Plan:
         """Return the tiling of a zoom, given its nodes."""
         shape = 1 << zoom, self.roots << zoom
         largest = None if self.largest_cells is None else self.largest_cells[zoom]
-        return Tiling(lattice, self.cells, self.tolerances[zoom], shape, self.fill, largest)
+        max_error = self.tolerances[zoom] * (1.0 - self.margin)
+        return Tiling(lattice, self.cells, max_error, shape, self.fill, largest)
 
 
 @dataclass(frozen=True)
@@ -185,6 +189,19 @@ def prepare(
         levels[zoom] = Level(zoom, finished, settled, available)
         children = available if plan.fill is not None else frozenset()
     return dict(sorted(levels.items()))
+
+
+def shares(plan: Plan, tell: Callable[[float], object]) -> Callable[[int, int, int], object]:
+    """Return what ``prepare`` may call, and tells the share of all its work that is done."""
+    last = max(plan.tolerances)
+    weights = {zoom: 4.0 ** (zoom - last) for zoom in plan.tolerances}
+    whole = sum(weights.values())
+
+    def heard(zoom: int, done: int, in_sight: int) -> None:
+        finer = sum(weight for other, weight in weights.items() if other > zoom)
+        tell((finer + weights[zoom] * done / in_sight) / whole)
+
+    return heard
 
 
 def _about(tell: Callable[[int, int, int], object], zoom: int) -> Callable[[int, int], object]:

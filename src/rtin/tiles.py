@@ -402,7 +402,7 @@ class _OpenBlock:
         tile.keep([self.borders.get(edge, 0) for edge in edges])
         beyond = zip(edges, tile.marks(), self._tiling.neighbours(place), strict=True)
         for edge, marks, neighbour in beyond:
-            known = self.borders.get(edge, _ends(self._tiling))
+            known = self.borders.get(edge, _given(self._tiling))
             # A tile that goes round the world alone has one border in the west and in the east.
             self.borders[edge] = marks | known
             if marks == known:
@@ -425,14 +425,19 @@ def _unaware(
     for edge in {edge for borders in found.values() for edge in borders}:
         for place in _beside(tiling, edge):
             known = found.get(_block_of(tiling, place), before)
-            if known.get(edge, before.get(edge, _ends(tiling))) != joined[edge]:
+            if known.get(edge, before.get(edge, _given(tiling))) != joined[edge]:
                 places.add(place)
     return sorted(places)
 
 
-def _ends(tiling: Tiling) -> int:
-    """Return the marks of a border of which nothing is known: its ends are corners of tiles."""
-    return 1 | 1 << tiling.cells
+def _given(tiling: Tiling) -> int:
+    """Return the marks of a border of which nothing is known: those that all tiles have."""
+    return _multiples(tiling.cells, tiling.largest_cell or tiling.cells)
+
+
+@cache
+def _multiples(cells: int, step: int) -> int:
+    return sum(1 << node for node in range(0, cells + 1, step))
 
 
 def _beside(tiling: Tiling, edge: Edge) -> Iterator[Place]:
@@ -635,6 +640,7 @@ def _sides(cells: int, turned: bool) -> tuple[tuple[NDArray[np.intp], NDArray[np
     return (first, along), (last, along), (along, first), (along, last)
 
 
+@cache
 def _regular(cells: int, step: int) -> NDArray[np.int64]:
     """Return every step-th node along both axes of a tile, as work."""
     from rtin._kernels.lattice import VERTEX, pack

@@ -22,15 +22,26 @@ def fill_between(controls, first_row, first_col, step, values):
     controls[0, 0] belongs to the node (first_row, first_col), which are negative or 0, measured
     from the window's first node.
     """
-    for i in range(values.shape[0]):
+    n_rows, n_cols = values.shape
+    for i in range(n_rows):
         k, down = divmod(i - first_row, step)
         v = down / step
-        for j in range(values.shape[1]):
-            m, along = divmod(j - first_col, step)
-            u = along / step
+        for m in range(controls.shape[1] - 1):
             west = controls[k, m] + (controls[k + 1, m] - controls[k, m]) * v
             east = controls[k, m + 1] + (controls[k + 1, m + 1] - controls[k, m + 1]) * v
-            values[i, j] = west + (east - west) * u
+            start = first_col + m * step
+            for j in range(max(start, 0), min(start + step, n_cols)):
+                values[i, j] = west + (east - west) * ((j - start) / step)
+
+
+@jit
+def snap(places, margin):
+    """Move places onto whole rows or columns that they are closer to than the margin."""
+    for i in range(places.shape[0]):
+        for j in range(places.shape[1]):
+            nearest = np.rint(places[i, j])
+            if abs(places[i, j] - nearest) < margin:
+                places[i, j] = nearest
 
 
 @jit
@@ -44,7 +55,7 @@ def extent(places, period):
         for j in range(places.shape[1]):
             if not abs(places[i, j]) < FARTHEST:
                 continue
-            whole = int(math.floor(places[i, j]))
+            whole = math.floor(places[i, j])
             if lowest > highest:
                 lowest = highest = origin = whole
             if period > 0:
@@ -126,7 +137,7 @@ def fill_heights(samples, first_row, first_col, period, rows, cols, scale, rises
                 continue
             whole_row, whole_col = math.floor(y), math.floor(x)
             v, u = y - whole_row, x - whole_col
-            row, col = int(whole_row) - first_row, int(whole_col) - first_col
+            row, col = whole_row - first_row, whole_col - first_col
             if period > 0:
                 col %= period
             height = np.inf

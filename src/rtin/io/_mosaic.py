@@ -180,13 +180,13 @@ def joined(files: list[RasterFile]) -> list[Mosaic]:
 
 
 def _corner(file: RasterFile, first: RasterFile, period: int) -> tuple[int, int] | None:
-    """Return where a file's first sample lies on another file's grid, None if on no sample of it."""
+    """Return where a file's first sample lies on another file's grid, None if between samples."""
     n_rows, n_cols = file.shape
     inverse, transform = ~first.transform, file.transform
     ends = [(0, 0), (n_cols, 0), (0, n_rows)]
     places = np.array([_apply(inverse, _apply(transform, end)) for end in ends])
     left, top = np.rint(places[0]).tolist()
-    wanted = np.array(ends) + [left, top]
+    wanted = np.array(ends) + np.array([left, top])
     if np.abs(places - wanted).max() > _SAME_GRID:
         return None
     if period:
@@ -217,7 +217,7 @@ def _overlap(
 def _put(
     file: RasterFile, part: tuple[tuple[Span, Span], tuple[slice, slice]], found: Heights
 ) -> None:
-    """Read the part of a file, unless all samples there are known, and put it where they are not."""
+    """Read the part of a file, unless all is known there, and put it where it is not."""
     (rows, cols), where = part
     view = found[where]
     unknown = ~np.isfinite(view)

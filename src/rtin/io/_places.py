@@ -39,7 +39,7 @@ class Nodes:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns; the last row is the southern edge, the last column is before the first."""
+        """Rows, the last one at the southern edge, and columns, which close to a ring."""
         rows, cols = self.scheme.tile_shape(self.zoom)
         return rows * self.cells + 1, cols * self.cells
 
@@ -50,12 +50,12 @@ class Nodes:
 
     def longitudes(self, cols: NDArray[np.int64]) -> Floats:
         """Degrees, by a formula of the column alone."""
-        x = self.scheme.west + cols * self.spacing
+        x = self.scheme.west + cols.astype(np.float64) * self.spacing
         return x if self.scheme.crs == "EPSG:4326" else x * (180.0 / (math.pi * _RADIUS))
 
     def latitudes(self, rows: NDArray[np.int64]) -> Floats:
         """Degrees, by a formula of the row alone."""
-        y = self.scheme.north - rows * self.spacing
+        y = self.scheme.north - rows.astype(np.float64) * self.spacing
         if self.scheme.crs == "EPSG:4326":
             return y
         return np.array([math.degrees(math.atan(math.sinh(value / _RADIUS))) for value in y])
@@ -171,7 +171,7 @@ class Placement:
             x, y = np.radians(longitudes) * _RADIUS, _mercator_y(np.clip(latitudes, -89.9, 89.9))
         a, _, x0, _, e, y0 = self.place
         rows, cols = (y - y0) / e, (self._turned(x) - x0) / a
-        return _snapped(rows)[:, None], _snapped(cols)[None, :]
+        return _snapped(rows[:, None]), _snapped(cols[None, :])
 
     def _on_raster(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         a, b, x0, d, e, y0 = self.place
@@ -237,10 +237,11 @@ class Placement:
 
 
 def _snapped(places: Floats) -> Floats:
-    """Return whole rows and columns where the places are within a millionth of one."""
-    nearest = np.rint(places)
-    with np.errstate(invalid="ignore"):
-        return np.ascontiguousarray(np.where(np.abs(places - nearest) < _SNAP, nearest, places))
+    """Move places, where they are, to whole rows and columns within a millionth of a cell."""
+    from rtin._kernels.lattices import snap
+
+    snap(places, _SNAP)
+    return places
 
 
 def smooth(

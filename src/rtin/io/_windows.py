@@ -56,7 +56,7 @@ def _fingerprint(name: str) -> str:
         path = Path(file)
         state = path.stat() if path.exists() else None
         states.append((str(path.resolve()), state and (state.st_size, state.st_mtime_ns)))
-    return hashlib.sha256(repr((name, states)).encode()).hexdigest()[:24]
+    return hashlib.sha256(repr(states).encode()).hexdigest()[:24]
 
 
 def _files(name: str, found: set[str]) -> set[str]:
@@ -149,8 +149,7 @@ class RasterFile:
             values: NDArray[Any] = opened[slice(*rows), slice(*cols)].astype(self.dtype, order="C")
             return values
         with gdal_at_work(self.name):
-            values = read_heights(opened, self.name, (rows, cols), self.band, self.encoding)
-        return values
+            return read_heights(opened, self.name, (rows, cols), self.band, self.encoding)
 
 
 class _OpenFiles(threading.local):

@@ -18,7 +18,7 @@ class DataArrayLattice:
     """The heights of a two-dimensional ``xarray.DataArray``; a ``HeightLattice``.
 
     Nothing is computed before it is read, and then only the chunks that a window touches, by Dask's
-    scheduler at hand: within a task of a cluster, by that cluster.
+    scheduler at hand: within a task of a cluster, by the task's own thread.
 
     Parameters
     ----------
@@ -64,12 +64,22 @@ def _dtype_of(data: Any) -> type[np.floating[Any]]:  # noqa: ANN401
 
 def _computed(data: Any) -> Any:  # noqa: ANN401
     """Return the array in memory. A task that waits for others must not hold a worker's thread."""
-    distributed = sys.modules.get("distributed")
-    if data.chunks is None or distributed is None:
+    if data.chunks is None or not _is_in_a_task():
         return data.compute()
+    import distributed
+
+    if not distributed.futures_of(data):
+        return data.compute(scheduler="synchronous")
+    with distributed.worker_client():  # some chunks lie in the memory of other workers
+        return data.compute()
+
+
+def _is_in_a_task() -> bool:
+    distributed = sys.modules.get("distributed")
+    if distributed is None:
+        return False
     try:
         distributed.get_worker()
-    except ValueError:  # this is no task
-        return data.compute()
-    with distributed.worker_client():
-        return data.compute()
+    except ValueError:
+        return False
+    return True

@@ -30,6 +30,7 @@ __all__ = [
     "RasterLattice",
     "WebLattice",
     "fingerprint",
+    "heights_as_given",
     "native_zoom",
 ]
 
@@ -239,7 +240,9 @@ class WebLattice:
 
 
 def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
-    """Return the smallest zoom whose nodes are at least as close as the finest raster's samples.
+    """Return the zoom whose nodes are as close as the finest raster's samples, or nearest to that.
+
+    They are at most √2 times as far apart: a whole zoom more would make four times the tiles.
 
     Distances are those in the scheme's CRS at the middle of each raster, along its rows or its
     columns, whichever are closer; the zoom is at most 24. Raises what ``WebLattice`` raises.
@@ -247,7 +250,7 @@ def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
     nodes = Nodes(scheme, 0, cells)
     files = _placed_files(paths, 1, "none")
     steps = [_sample_step(Mosaic((file,), ((0, 0),)).placement, nodes) for file in files]
-    zoom = math.ceil(math.log2(1.0 / min(steps)) - 1e-6)
+    zoom = math.ceil(math.log2(1.0 / min(steps)) - 0.5)
     return min(max(zoom, 0), _LARGEST_ZOOM)
 
 
@@ -272,7 +275,7 @@ def _placed_files(paths: Sequence[Path], band: int, encoding: str | None) -> lis
     for file in files:
         if file.wkt is None:
             raise ValueError(
-                f"{file.name} has no CRS, so nobody knows where on Earth it lies; give it one, for "
+                f"{file.name} has no CRS; give it the one in which it lies on Earth, for "
                 "example with gdal_edit.py -a_srs"
             )
     return files
@@ -345,10 +348,10 @@ def _ring_of(spans: list[Span], period: int) -> Span:
     pieces = sorted(spans)
     gaps, reach = [], pieces[0][1]
     for first, end in pieces[1:]:
-        gaps.append((first - reach, first, reach))
+        gaps.append((first - reach, first))
         reach = max(reach, end)
-    gaps.append((pieces[0][0] + period - reach, pieces[0][0], reach))
-    size, first, last = max(gaps)
+    gaps.append((pieces[0][0] + period - reach, pieces[0][0]))
+    size, first = max(gaps)
     if size <= 0:
         return 0, period
     return _on_ring(first, first + period - size, period)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from rtin.io.quantized_mesh import QuantizedMesh
-from rtin.io.tile_jobs import Job
+from rtin.io.tile_jobs import TileJob
 from rtin.io.tileset import TileRecord
-from rtin.pyramid import prepare
+from rtin.pyramid import prepare, shares
 from rtin.schemes import SCHEMES, Scheme
 
 __all__ = ["LiveTiles"]
@@ -22,12 +22,14 @@ class LiveTiles:
 
     Parameters
     ----------
-    job : Job
+    job : TileJob
         Of terrain: ``world_tiles(paths, "terrain")``.
     folder : Path
         For the heights of coarser zooms and what is kept on borders; this job's own.
-    executor, tell
-        As in ``rtin.pyramid.prepare``: all borders are settled before the first tile is made.
+    executor : concurrent.futures.Executor, optional
+        Where all borders are settled, before the first tile can be made.
+    tell : callable, optional
+        Called with the share of that which is done.
 
     Raises
     ------
@@ -37,16 +39,21 @@ class LiveTiles:
 
     def __init__(
         self,
-        job: Job,
+        job: TileJob,
         folder: Path,
         *,
         executor: Executor | None = None,
-        tell: Callable[[int, int, int], object] | None = None,
+        tell: Callable[[float], object] | None = None,
     ) -> None:
         if not isinstance(job.output, QuantizedMesh):
             raise TypeError("tiles are served of terrain only; write others with rtin tiles")
         self._output = job.output
-        levels = prepare(job.plan, folder, executor=executor, tell=tell)
+        levels = prepare(
+            job.plan,
+            folder,
+            executor=executor,
+            tell=None if tell is None else shares(job.plan, tell),
+        )
         self._levels = {
             zoom: level.with_tiles(job.output.roots(zoom)) for zoom, level in levels.items()
         }

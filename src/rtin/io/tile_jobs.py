@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import atan, degrees, pi, sinh, sqrt
 from typing import Any, Literal
 
 from rtin._options import as_height, require_word
 from rtin.grid import lattice_size
-from rtin.io.tileset import Format
+from rtin.io.tileset import Format, Summary, write_tileset
 from rtin.pyramid import Plan, geometric_error, tolerances
 from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
 from rtin.tiles import HeightLattice
 
-__all__ = ["Job", "raster_tiles", "world_tiles"]
+__all__ = ["TileJob", "raster_tiles", "world_tiles"]
 
 _CELLS_OF_WORLD = 64  # as CesiumJS takes terrain to have
 _CELLS_OF_RASTER = 1024
 _DEEPEST = 24
+# Of the tolerance: 15 bits of height within a tile take less, as a rule, and 24 bits much less.
+_ROUNDING = {"terrain": 1.0 / 32.0, "3dtiles": 1.0 / 256.0}
 _PIXELS = 0.5  # of error, for each pixel that CesiumJS lets terrain be off
 
 Zooms = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
-class Job:
-    """What ``rtin.io.tileset.write_tileset`` takes.
+class TileJob:
+    """Tiles to be made: what ``rtin.io.tileset.write_tileset`` takes.
 
     Attributes
     ----------
@@ -45,6 +48,26 @@ class Job:
     sources: dict[str, str]
     notes: list[str]
 
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        update: bool = False,
+        executor: Executor | None = None,
+        tell: Callable[[float], object] | None = None,
+    ) -> Summary:
+        """Make the tiles in a folder, as far as they are not there yet: see ``write_tileset``."""
+        return write_tileset(
+            folder,
+            self.plan,
+            self.output,
+            settings=self.settings,
+            sources=self.sources,
+            update=update,
+            executor=executor,
+            tell=tell,
+        )
+
 
 def world_tiles(
     paths: Sequence[str | os.PathLike[str]],
@@ -61,7 +84,7 @@ def world_tiles(
     about: dict[str, str] | None = None,
     band: int = 1,
     encoding: Any = None,  # noqa: ANN401
-) -> Job:
+) -> TileJob:
     """Return the job of tiles for a globe, from rasters in any CRS.
 
     Parameters
@@ -73,8 +96,8 @@ def world_tiles(
     scheme : {"geographic", "mercator"}
         How the world is cut.
     zoom : (int or None, int or None)
-        First and last. By default from 0 to the first zoom whose nodes are not farther apart than
-        the samples of the finest raster. Terrain always begins at 0, where CesiumJS does.
+        First and last. By default from 0 to the zoom whose nodes are as close as the samples of the
+        finest raster, or nearest to that. Terrain always begins at 0, where CesiumJS does.
     max_error : sequence of float
         Tolerances in metres: one for the last zoom, doubled for each coarser one, or one for each
         zoom. By default ``error_factor`` times the error that CesiumJS takes a zoom to have.
@@ -116,7 +139,7 @@ def world_tiles(
         fill = 0.0 if kind == "terrain" else None
     wanted = dict(sorted(wanted.items()))
     largest = {zoom: _largest_cell(the_scheme, zoom, cells, wanted[zoom]) for zoom in wanted}
-    plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest)
+    plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest, _ROUNDING[kind])
     if last > native:
         notes.append(f"zoom {native} has all that the rasters hold; finer ones add tiles only")
     output = _format(kind, scheme, plan, normals, about or {})
@@ -140,7 +163,7 @@ def raster_tiles(
     cells: int = _CELLS_OF_RASTER,
     band: int = 1,
     encoding: Any = None,  # noqa: ANN401
-) -> Job:
+) -> TileJob:
     """Return the job of a mesh file for each tile of a raster's own lattice.
 
     Parameters
@@ -189,7 +212,7 @@ def raster_tiles(
 
 def _job(
     plan: Plan, output: Format, settings: dict[str, Any], names: list[str], notes: list[str]
-) -> Job:
+) -> TileJob:
     from rtin.io.lattices import fingerprint
 
     settings = {
@@ -198,7 +221,13 @@ def _job(
         "cells": plan.cells,
         "fill": plan.fill,
     }
-    return Job(plan, output, settings, dict(zip(names, fingerprint(names), strict=True)), notes)
+    return TileJob(
+        plan,
+        output,
+        settings,
+        dict(zip(map(os.path.abspath, names), fingerprint(names), strict=True)),
+        notes,
+    )
 
 
 def _names(paths: Sequence[str | os.PathLike[str]]) -> list[str]:
@@ -251,16 +280,19 @@ def _lattice(
     raster: dict[str, Any],
 ) -> tuple[HeightLattice, list[str]]:
     """Return the nodes of the last zoom, and what is to be said about their heights."""
-    from rtin.io.lattices import MissingGeoid, WebLattice
+    from rtin.io.lattices import MissingGeoid, WebLattice, heights_as_given
 
     as_given = "heights are taken as metres above the ellipsoid, as they are"
-    if geoid is None:
-        note = f"{as_given}; --geoid egm2008 raises those above sea level by the geoid"
-        return WebLattice(names, scheme, zoom, cells, **raster), [note]
-    try:
-        return WebLattice(names, scheme, zoom, cells, geoid=geoid, **raster), []
-    except MissingGeoid as error:
-        return WebLattice(names, scheme, zoom, cells, **raster), [f"{error}; {as_given}"]
+    if geoid is not None:
+        try:
+            return WebLattice(names, scheme, zoom, cells, geoid=geoid, **raster), []
+        except MissingGeoid as error:
+            notes = [f"{error}; {as_given}"]
+    elif heights_as_given(names):
+        notes = [f"{as_given}; --geoid egm2008 raises those above sea level by the geoid"]
+    else:
+        notes = []
+    return WebLattice(names, scheme, zoom, cells, **raster), notes
 
 
 def _format(kind: str, scheme: str, plan: Plan, normals: bool, about: dict[str, str]) -> Format:

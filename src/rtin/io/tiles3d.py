@@ -338,7 +338,10 @@ class _Writer:
         west, south, east, north = self.scheme.bounds(zoom, *level.place(number))
         if self.scheme.crs == "EPSG:3857":
             west, east = west / EQUATORIAL_RADIUS, east / EQUATORIAL_RADIUS
-            south, north = atan(sinh(south / EQUATORIAL_RADIUS)), atan(sinh(north / EQUATORIAL_RADIUS))
+            south, north = (
+                atan(sinh(south / EQUATORIAL_RADIUS)),
+                atan(sinh(north / EQUATORIAL_RADIUS)),
+            )
         else:
             west, south, east, north = map(radians, (west, south, east, north))
         heights = float(level.lows[number]), float(level.highs[number])

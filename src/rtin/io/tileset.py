@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import write_bytes
-from rtin.pyramid import Level, Plan, prepare
+from rtin.pyramid import Level, Plan, prepare, shares
 from rtin.tiles import Borders, Place, Tile, Tiling, make_tile
 
 __all__ = ["Format", "LevelSummary", "Summary", "TileRecord", "write_tileset"]
@@ -150,7 +150,8 @@ def write_tileset(
     state = _opened(folder, settings)
     with _locked(state), _table(state / "tiles.sqlite") as table:
         _start(state, settings, sources, update=update)
-        levels = prepare(plan, state, executor=executor, tell=_settling(plan, tell))
+        heard = shares(plan, lambda share: tell(_SETTLING_SHARE * share))
+        levels = prepare(plan, state, executor=executor, tell=heard)
         levels = {zoom: level.with_tiles(output.roots(zoom)) for zoom, level in levels.items()}
         rasters = blake2b(json.dumps(sources).encode(), digest_size=8).digest()
         n_made = _make_all(folder, table, levels, output, rasters, executor, tell)
@@ -158,7 +159,7 @@ def write_tileset(
         for name, content in output.index(partial(_drawn, table), plan.tolerances):
             _write(folder / name, content)
         _write_job(state, settings, sources, finished=True)
-        return Summary(_summaries(table, levels, output), n_made, n_removed)
+        return Summary(_summaries(table, plan, levels, output), n_made, n_removed)
 
 
 def _drawn(table: sqlite3.Connection) -> Iterator[TileRecord]:
@@ -423,7 +424,7 @@ def _remove_stale(
 
 
 def _summaries(
-    table: sqlite3.Connection, levels: dict[int, Level], output: Format
+    table: sqlite3.Connection, plan: Plan, levels: dict[int, Level], output: Format
 ) -> list[LevelSummary]:
     figures = table.execute(
         "SELECT zoom, max(error), sum(n_bytes > 0), sum(n_vertices), sum(n_triangles), sum(n_bytes)"
@@ -432,25 +433,12 @@ def _summaries(
     return [
         LevelSummary(
             zoom,
-            levels[zoom].tiling.max_error,
+            plan.tolerances[zoom],
             error + output.rounding(zoom, levels[zoom].settled.largest_range),
             *counts,
         )
         for zoom, error, *counts in figures
     ]
-
-
-def _settling(plan: Plan, tell: Callable[[float], object]) -> Callable[[int, int, int], object]:
-    """Return what turns the tiles settled of a zoom into a share of all work."""
-    last = max(plan.tolerances)
-    weights = {zoom: 4.0 ** (zoom - last) for zoom in plan.tolerances}
-    whole = sum(weights.values())
-
-    def heard(zoom: int, done: int, in_sight: int) -> None:
-        finer = sum(weight for other, weight in weights.items() if other > zoom)
-        tell(_SETTLING_SHARE * (finer + weights[zoom] * done / in_sight) / whole)
-
-    return heard
 
 
 def _run(

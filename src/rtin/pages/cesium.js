@@ -1,0 +1,104 @@
+// The terrain of this server on CesiumJS's globe, with nothing from outside: no token, no imagery.
+/* global Cesium */
+const base = new URL(".", location.href).href;
+const element = (id) => document.getElementById(id);
+const LIGHT = { east: -0.5, north: 0.5, up: 0.7071 }; // from the north-west, as maps are lit
+// Heights' colours as in rtin._tint: share of the way up, colour.
+const TINT = [[0, "#73946b"], [0.2, "#99b078"], [0.4, "#d1cc94"], [0.6, "#c2a173"], [0.8, "#9e8069"], [0.92, "#c7bfb8"], [1, "#f7f7f7"]];
+
+function globe() {
+  const widget = new Cesium.CesiumWidget("cesium", { baseLayer: false, creditContainer: undefined });
+  Object.assign(widget.scene.globe, {
+    baseColor: Cesium.Color.fromCssColorString("#9db09a"),
+    enableLighting: true,
+    dynamicAtmosphereLighting: false,
+    showGroundAtmosphere: false,
+    depthTestAgainstTerrain: true,
+  });
+  widget.scene.highDynamicRange = false;
+  return widget;
+}
+
+function ramp() {
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [256, 1];
+  const context = canvas.getContext("2d");
+  const gradient = context.createLinearGradient(0, 0, 256, 0);
+  TINT.forEach(([share, colour]) => gradient.addColorStop(share, colour));
+  context.fillStyle = gradient;
+  context.fillRect(0, 0, 256, 1);
+  return canvas;
+}
+
+/** Lowest and highest of a few places, from tiles about as large as the bounds. */
+async function heightRange(provider, rectangle, maxzoom) {
+  const zoom = Math.max(0, Math.min(maxzoom, Math.floor(Math.log2(Math.PI / Math.max(rectangle.width, rectangle.height))) + 2));
+  const places = [];
+  for (let i = 1; i < 16; i++) for (let j = 1; j < 16; j++) {
+    places.push(new Cesium.Cartographic(rectangle.west + (rectangle.width * i) / 16, rectangle.south + (rectangle.height * j) / 16));
+  }
+  const heights = (await Cesium.sampleTerrain(provider, zoom, places)).map((place) => place.height ?? 0);
+  return [Math.min(...heights), Math.max(...heights, Math.min(...heights) + 1)];
+}
+
+function light(scene, rectangle) {
+  const middle = Cesium.Rectangle.center(rectangle);
+  const frame = Cesium.Transforms.eastNorthUpToFixedFrame(Cesium.Cartographic.toCartesian(middle));
+  const towards = new Cesium.Cartesian3(-LIGHT.east, -LIGHT.north, -LIGHT.up);
+  const direction = Cesium.Matrix4.multiplyByPointAsVector(frame, towards, new Cesium.Cartesian3());
+  scene.light = new Cesium.DirectionalLight({ direction: Cesium.Cartesian3.normalize(direction, direction), intensity: 1.6 });
+}
+
+function flyTo(camera, sphere) {
+  const offset = new Cesium.HeadingPitchRange(0, Cesium.Math.toRadians(-38), sphere.radius * 2.4);
+  camera.flyToBoundingSphere(sphere, { offset, duration: 1.5 });
+}
+
+async function showTerrain(widget, layer) {
+  const provider = await Cesium.CesiumTerrainProvider.fromUrl(base, { requestVertexNormals: true });
+  const rectangle = Cesium.Rectangle.fromDegrees(...(layer.bounds ?? [-180, -90, 180, 90]));
+  widget.terrainProvider = provider;
+  const [low, high] = await heightRange(provider, rectangle, layer.maxzoom ?? layer.available.length - 1);
+  const material = Cesium.Material.fromType("ElevationRamp", { minimumHeight: low, maximumHeight: high, image: ramp() });
+  widget.scene.globe.material = material;
+  light(widget.scene, rectangle);
+  flyTo(widget.camera, Cesium.BoundingSphere.fromRectangle3D(rectangle, Cesium.Ellipsoid.WGS84, (low + high) / 2));
+  element("name").textContent = layer.name ?? "Terrain";
+  element("credit").textContent = layer.attribution ?? "";
+  return provider;
+}
+
+async function showModel(widget) {
+  const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`);
+  widget.scene.primitives.add(tileset);
+  widget.scene.globe.show = false;
+  flyTo(widget.camera, tileset.boundingSphere);
+  element("name").textContent = "3D Tiles";
+  return tileset;
+}
+
+function listen(widget) {
+  element("exaggeration").addEventListener("input", ({ target }) => {
+    widget.scene.verticalExaggeration = Number(target.value);
+    element("times").textContent = Number(target.value).toFixed(1);
+  });
+  element("wireframe").addEventListener("input", ({ target }) => {
+    // CesiumJS has no public way; its own inspector does this too.
+    widget.scene.globe._surface.tileProvider._debug.wireframe = target.checked;
+  });
+  widget.scene.globe.tileLoadProgressEvent.addEventListener((left) => {
+    element("counts").textContent = left ? `${left} tiles to load` : "all tiles in sight are loaded";
+    document.body.dataset.left = left;
+  });
+}
+
+if (typeof Cesium === "undefined") {
+  element("message").hidden = false;
+} else {
+  const widget = globe();
+  listen(widget);
+  const response = await fetch("layer.json");
+  const shown = response.ok ? await showTerrain(widget, await response.json()) : await showModel(widget);
+  Object.assign(window, { widget, shown }); // for the console
+  document.body.dataset.state = "ready";
+}
