@@ -154,6 +154,15 @@ def test_any_raster_with_holes_fits_together(raster, cells):
             assert places.setdefault(tuple(map(int, node)), place) == place
 
 
+def test_degrees_become_metres_around_the_middle_of_the_raster():
+    lattice = lattice_of(np.zeros((17, 17)), Affine(0.1, 0.0, 12.0, 0.0, -0.1, 60.8), DEGREES)
+    output = PlainMeshes.of_lattice(lattice, "glb", 1)
+    world = [glb_decoder.decode(output.encode(1, t, 0.0)).world for t in tiles_of(lattice)]
+    width, height = np.ptp(np.concatenate(world), axis=0)[:2]
+    assert width == pytest.approx(1.6 * 55_800, rel=1e-3)
+    assert height == pytest.approx(1.6 * 111_412, rel=1e-3)
+
+
 def test_coarser_zooms_lie_on_the_nodes_of_the_last():
     heights = terrains.noise((17, 17))
     output = PlainMeshes.of_lattice(lattice_of(heights), "ply", 1)
