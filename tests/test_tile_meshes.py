@@ -71,7 +71,7 @@ def test_files_hold_shared_vertices_at_one_place(tmp_path, transform, crs, exten
         vertices = as_in_file(output.encode(1, tile, 100.0), extension, tmp_path)
         nodes = zip(tile.row * 8 + tile.rows, tile.col * 8 + tile.cols, strict=True)
         if extension == "stl":  # which has no vertices, but corners
-            nodes = [node for node in np.array(list(nodes))[tile.triangles.ravel()].tolist()]
+            nodes = np.array(list(nodes))[tile.triangles.ravel()].tolist()
             nodes = order_of_corners(nodes, output, tile)
         n_vertices += len(tile.heights)
         for node, vertex in zip(nodes, vertices.tolist(), strict=True):

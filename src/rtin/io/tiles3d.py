@@ -289,7 +289,7 @@ class _Writer:
         top = min(max(alone, default=0), first_drawn)
         root = self._root(top)
         yield "tileset.json", _document(root, max(self._side(top), root["geometricError"]))
-        for zoom in range(top + _ZOOMS_IN_FILE, max(self.levels) + 1, _ZOOMS_IN_FILE):
+        for zoom in filter(self._begins_file, range(top + 1, max(self.levels))):
             for number in np.flatnonzero(np.diff(self.levels[zoom].first_child)).tolist():
                 root = self._tile(zoom, number, zoom, "../../")
                 yield f"{self._stem(zoom, number)}.json", _document(root, root["geometricError"])
@@ -316,7 +316,7 @@ class _Writer:
             "boundingVolume": {"region": self._region(zoom, number)},
             "geometricError": self._error(zoom, is_drawn=is_drawn),
         }
-        if first < end and zoom == first_zoom + _ZOOMS_IN_FILE:
+        if first < end and zoom > first_zoom and self._begins_file(zoom):
             tile["content"] = {"uri": f"{up}{self._stem(zoom, number)}.json"}
             return tile
         if is_drawn:
@@ -325,6 +325,13 @@ class _Writer:
             children = range(first, end)
             tile["children"] = [self._tile(zoom + 1, child, first_zoom, up) for child in children]
         return tile
+
+    def _begins_file(self, zoom: int) -> bool:
+        """Return whether tiles of a zoom are roots of files, counted from the finest zoom.
+
+        So the many files there, which have its tiles besides, are full.
+        """
+        return (max(self.levels) - zoom) % _ZOOMS_IN_FILE == 0
 
     def _error(self, zoom: int, *, is_drawn: bool) -> float:
         return self.tolerances.get(zoom if is_drawn else zoom - 1, self._side(zoom))
