@@ -11,7 +11,7 @@ import trimesh
 from typer.testing import CliRunner
 
 import rtin
-from rtin import cli, samples
+from rtin import _console, cli, samples
 
 
 @pytest.fixture
@@ -207,7 +207,7 @@ def test_demo_leaves_three_files_to_look_at(tmp_path):
 def test_progress_is_told_on_stderr_and_only_when_it_takes_long(dem, tmp_path, monkeypatch):
     quiet = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 30)
     assert "coarsening" not in quiet.stderr
-    monkeypatch.setattr(cli, "_QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(_console, "_QUIET_SECONDS", 0.0)
     told = run("coarsen", dem, tmp_path / "out.glb", "--max-error", 1, "--json")
     assert "coarsening 129 × 129 samples" in told.stderr
     assert json.loads(told.stdout)

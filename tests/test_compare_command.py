@@ -14,7 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import rtin
-from rtin import cli, samples, simplifiers
+from rtin import _console, cli, samples, simplifiers
 from rtin.studies import comparison, comparison_pictures, comparison_report
 
 HEIGHTS = samples.jacksboro_fault().heights[100:165, 40:105]
@@ -434,15 +434,15 @@ def test_tables_of_pages_escape_their_cells():
 
 
 def test_what_lasts_says_what_share_is_done(capsys, monkeypatch):
-    monkeypatch.setattr(cli, "_QUIET_SECONDS", 0.0)
-    monkeypatch.setattr(cli, "_SECONDS_BETWEEN_LINES", -1.0)
-    with cli._progress_bar("measuring") as tell:
+    monkeypatch.setattr(_console, "_QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(_console, "_SECONDS_BETWEEN_LINES", -1.0)
+    with _console.progress_bar("measuring") as tell:
         while "measuring: 50 %" not in (shown := capsys.readouterr().err):
             tell(0.5)
     assert shown.splitlines()[-1] == "rtin: measuring: 50 %, about 0 s left"
 
 
 def test_what_is_quick_says_nothing(capsys):
-    with cli._progress_bar("measuring") as tell:
+    with _console.progress_bar("measuring") as tell:
         tell(0.5)
     assert capsys.readouterr().err == ""

@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
-import json
-import math
-import os
 import signal
 import sys
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import asdict
-from functools import partial
-from importlib import import_module
+from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from rtin._console import (
+    Band,
+    Encoding,
+    EncodingName,
+    Json,
+    give_up,
+    interrupt,
+    one_line,
+    one_line_errors,
+    progress,
+    progress_bar,
+    report,
+    say,
+    say_if_not_compiled,
+)
+from rtin._tile_commands import serve, tiles
 from rtin._version import __version__
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from rtin.criteria import ErrorFigures, VerticalError
     from rtin.grid import Grid
-    from rtin.io.tile_jobs import TileJob
-    from rtin.io.tileset import Summary
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference
     from rtin.studies.comparison import Method
@@ -37,13 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-_QUIET_SECONDS = 1.0
-_SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not worth telling
 _MOST_TAGS = 20  # shown
-_FEW_TILES = 1000  # are made sooner than other processes are started
 _GDALS_SHARE = 8  # of the memory for tiles: an eighth
-_GDALS_MEGABYTES = "256"  # of blocks kept, where tiles are made: a twentieth of the memory is usual
 
 app = typer.Typer(
     help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
@@ -58,8 +58,6 @@ study = typer.Typer(help="Measure what the paper says.", no_args_is_help=True)
 app.add_typer(study, name="study")
 
 _Dem = Annotated[Path, typer.Argument(metavar="DEM", help="Any raster that GDAL reads, or .npy.")]
-_Json = Annotated[bool, typer.Option("--json", help="Print a JSON summary to stdout.")]
-_Band = Annotated[int, typer.Option(min=1, help="Band to read, from 1 on.")]
 _Window = Annotated[
     tuple[int, int, int, int] | None,
     typer.Option(
@@ -67,11 +65,6 @@ _Window = Annotated[
         help="Read only rows from the first to before the second number, and columns likewise.",
         show_default=False,
     ),
-]
-_EncodingName = Literal["terrain-rgb", "terrarium", "none"]
-_Encoding = Annotated[
-    _EncodingName | None,
-    typer.Option(help="How the colours of a tile hold heights; none: they are heights."),
 ]
 _MaxError = Annotated[
     float | None,
@@ -122,72 +115,16 @@ _KeepDegrees = Annotated[
 ]
 _ZScale = Annotated[float, typer.Option(help="Multiply written heights by this.")]
 
-_Zoom = Annotated[
-    str | None,
-    typer.Option(metavar="FIRST-LAST", help="Zooms to make; as fine as the rasters are."),
-]
-_MaxErrors = Annotated[
-    str | None,
-    typer.Option(
-        "--max-error",
-        metavar="HEIGHTS",
-        help="Tolerance at the last zoom, doubled for each coarser one; or one for each, by "
-        "commas, from the first on. By default half of what CesiumJS takes a zoom to have.",
-    ),
-]
-_Scheme = Annotated[
-    Literal["geographic", "mercator"],
-    typer.Option(help="How the globe is cut: EPSG:4326 or EPSG:3857."),
-]
-_Cells = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Cells along a side of a tile, a power of two: 64 on a globe, 1024 for meshes.",
-        show_default=False,
-    ),
-]
-_Fill = Annotated[
-    str | None,
-    typer.Option(
-        metavar="HEIGHT",
-        help="Height of voids in tiles with heights, or none: 0 for terrain, none for others.",
-        show_default=False,
-    ),
-]
-_Geoid = Annotated[
-    Literal["egm2008", "egm96"] | None,
-    typer.Option(help="Heights are above it: turn them into heights above the ellipsoid."),
-]
-_NoNormals = Annotated[
-    bool, typer.Option("--no-normals", help="Terrain without normals for light and shade.")
-]
-_Attribution = Annotated[
-    str | None, typer.Option(metavar="TEXT", help="Whom viewers are to credit.")
-]
-_Workers = Annotated[
-    int | None,
-    typer.Option(metavar="N", min=1, help="Processes; as many as processors.", show_default=False),
-]
-
-_interrupted = threading.Event()
-
 
 def main() -> None:
     """Run the ``rtin`` program."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGINT, interrupt)
     try:
         app()
     except OSError as error:  # of the help text itself: no space is left for it
-        _give_up(error)
+        give_up(error)
         sys.exit(1)
-
-
-def _interrupt(*_: Any) -> None:  # noqa: ANN401
-    """Take Ctrl-C down before it ends what is going on: trimesh drops it while it is imported."""
-    _interrupted.set()
-    raise KeyboardInterrupt
 
 
 @app.callback(invoke_without_command=True)
@@ -213,9 +150,9 @@ def coarsen(
     weight: _Weight = None,
     diagonals: _Diagonals = "lattice",
     heights: _VertexHeights = "sampled",
-    band: _Band = 1,
+    band: Band = 1,
     window: _Window = None,
-    encoding: _Encoding = None,
+    encoding: Encoding = None,
     z_scale: _ZScale = 1.0,
     base: Annotated[
         float | None,
@@ -234,7 +171,7 @@ def coarsen(
             show_default=False,
         ),
     ] = None,
-    as_json: _Json = False,
+    as_json: Json = False,
 ) -> None:
     """Coarsen a raster to a mesh."""
     asked = _the_only_option(
@@ -250,13 +187,13 @@ def coarsen(
     _require_positive("--z-scale", z_scale)
     _require_positive("--base", base)
     limit = None if memory is None else _as_bytes("--memory", memory)
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.io.meshes import placement_of, write_mesh
 
         _require_writable(out, dem)
         started = time.perf_counter()
         mesh, counts, achieved, notes = _coarsened(limit, asked, dem, band, window, encoding)
-        with _progress(f"writing {out}"):
+        with progress(f"writing {out}"):
             write_mesh(mesh, out, z_scale=z_scale, base=base, keep_degrees=keep_degrees)
         summary = {
             "input": str(dem),
@@ -269,7 +206,7 @@ def coarsen(
         }
         placed = placement_of(mesh, out, z_scale=z_scale, keep_degrees=keep_degrees)
         summary["notes"] = [*filter(None, [placed.note]), *notes]
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 @app.command()
@@ -315,12 +252,12 @@ def refine(
     times: Annotated[
         int, typer.Option(metavar="N", min=1, help="Ask --where so often, each time anew.")
     ] = 1,
-    band: _Band = 1,
+    band: Band = 1,
     window: _Window = None,
-    encoding: _Encoding = None,
+    encoding: Encoding = None,
     z_scale: _ZScale = 1.0,
     keep_degrees: _KeepDegrees = False,
-    as_json: _Json = False,
+    as_json: Json = False,
 ) -> None:
     """Refine a triangle mesh, locally or as a whole, and keep it conforming."""
     asked = _the_only_option(
@@ -337,19 +274,19 @@ def refine(
     if times > 1 and where is None:
         raise typer.BadParameter("--times goes with --where; for all triangles there is --uniform")
     _require_positive("--z-scale", z_scale)
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.io.meshes import placement_of, read_mesh, write_mesh
 
         _require_writable(out, dem)
         started = time.perf_counter()
-        with _progress(f"reading {path}"):
+        with progress(f"reading {path}"):
             mesh = read_mesh(path)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
         _require_same_crs(mesh, grid)
-        with _progress(f"refining {mesh.n_triangles} triangles"):
+        with progress(f"refining {mesh.n_triangles} triangles"):
             refined = _refined_or_refused(mesh, grid, asked, scheme, times)
         achieved = {} if grid is None else _achieved_by(refined, grid)
-        with _progress(f"writing {out}"):
+        with progress(f"writing {out}"):
             write_mesh(refined, out, z_scale=z_scale, keep_degrees=keep_degrees)
         summary = {
             "input": str(path),
@@ -369,22 +306,22 @@ def refine(
             *filter(None, [placed.note]),
             *_doubts_about(mesh, grid),
         ]
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 @app.command()
 def info(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="A raster or a mesh.")],
-    band: _Band = 1,
-    encoding: _Encoding = None,
-    as_json: _Json = False,
+    band: Band = 1,
+    encoding: Encoding = None,
+    as_json: Json = False,
 ) -> None:
     """Say what a raster or a mesh holds, and what is odd."""
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.io.meshes import is_mesh_path
 
         summary = _mesh_info(path) if is_mesh_path(path) else _grid_info(path, band, encoding)
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 @app.command()
@@ -394,24 +331,24 @@ def plot(
     dem: Annotated[
         Path | None, typer.Option(metavar="DEM", help="Raster to shade below the mesh.")
     ] = None,
-    band: _Band = 1,
+    band: Band = 1,
     window: _Window = None,
-    encoding: _Encoding = None,
-    as_json: _Json = False,
+    encoding: Encoding = None,
+    as_json: Json = False,
 ) -> None:
     """Draw a mesh from above, over its raster's hillshade."""
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.io.meshes import read_mesh
         from rtin.plotting import require_picture_path, save_picture
 
         with _values_are_usage():
             require_picture_path(out)
-        with _progress(f"reading {path}"):
+        with progress(f"reading {path}"):
             mesh = read_mesh(path)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
-        with _progress(f"drawing {out}"):
+        with progress(f"drawing {out}"):
             save_picture(mesh, out, grid=grid)
-        _report({"input": str(path), "output": str(out), **_mesh_counts(mesh)}, as_json)
+        report({"input": str(path), "output": str(out), **_mesh_counts(mesh)}, as_json)
 
 
 @app.command()
@@ -475,17 +412,17 @@ def compare(
         Path | None,
         typer.Option(metavar="FILE", help="Write a map of the errors: .png .jpg .svg .pdf."),
     ] = None,
-    band: _Band = 1,
+    band: Band = 1,
     window: _Window = None,
-    encoding: _Encoding = None,
-    as_json: _Json = False,
+    encoding: Encoding = None,
+    as_json: Json = False,
 ) -> None:
     """Measure how far two surfaces are from each other, or simplified meshes from their raster."""
     _require_comparable(a, b, max_error, against=against, match=match)
     _require_positive("--tolerance", tolerance)
     if tolerance is not None and not certified:
         raise typer.BadParameter("--tolerance goes with --certified")
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.studies.comparison import Method
 
         started = time.perf_counter()
@@ -506,223 +443,11 @@ def compare(
         summary["seconds"] = round(time.perf_counter() - started, 3)
         summary["written"] = [str(out) for out in outputs.values()]
         summary["notes"] = summary.pop("notes")
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
-@app.command()
-def tiles(
-    paths: Annotated[
-        list[Path], typer.Argument(metavar="DEM... OUT", help="Rasters, and the folder to fill.")
-    ],
-    kind: Annotated[
-        Literal["terrain", "3dtiles", "glb", "obj", "ply", "stl"],
-        typer.Option(
-            "--format",
-            help="Quantized-mesh terrain or 3D Tiles for a globe, or a mesh file for each tile.",
-        ),
-    ] = "terrain",
-    zoom: _Zoom = None,
-    max_error: _MaxErrors = None,
-    scheme: _Scheme = "geographic",
-    cells: _Cells = None,
-    fill: _Fill = None,
-    geoid: _Geoid = None,
-    no_normals: _NoNormals = False,
-    attribution: _Attribution = None,
-    update: Annotated[
-        bool, typer.Option("--update", help="Make anew what a changed raster touches.")
-    ] = False,
-    workers: _Workers = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask cluster to work, such as tcp://10.0.0.1:8786; it must see the same files.",
-        ),
-    ] = None,
-    band: _Band = 1,
-    encoding: _Encoding = None,
-    as_json: _Json = False,
-) -> None:
-    """Cut rasters into tiles without cracks, at every zoom; goes on where it was ended.
-
-    Memory holds a few tiles at a time, however large the rasters are.
-    """
-    if len(paths) < 2:
-        raise typer.BadParameter("at least one raster and the folder to fill are wanted")
-    if scheduler is not None:
-        if workers is not None:
-            raise typer.BadParameter("give --workers or --scheduler, not both")
-        paths = [path.absolute() for path in paths]  # its workers are in folders of their own
-    *dems, out = paths
-    job_of = partial(
-        _tile_job, dems, kind, zoom=_zooms_of(zoom),
-        max_error=_numbers_of("--max-error", max_error), cells=cells, band=band, encoding=encoding,
-        world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
-               "attribution": attribution},
-    )  # fmt: skip
-    with _one_line_errors():
-        started = time.perf_counter()
-        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)  # for worker processes, too
-        with _progress(f"looking at {_listed(dems)}"):
-            job = job_of()
-        for note in job.notes:
-            _say(note)
-        _say_if_not_compiled()
-        few = job.plan.n_tiles <= _FEW_TILES
-        with (
-            _workers(workers or (1 if few else None), scheduler) as executor,
-            _progress_bar(f"making {out}") as tell,
-        ):
-            made = job.write(out, update=update, executor=executor, tell=tell)
-        seconds = time.perf_counter() - started
-        _report_tiles(job, dems, out, made, seconds, as_json)
-
-
-def _workers(number: int | None, scheduler: str | None) -> AbstractContextManager[Executor | None]:
-    """Return what gives an executor: of a Dask cluster, or of processes here."""
-    if scheduler is not None:
-        from rtin.distributed import cluster
-
-        return cluster(scheduler)
-    from rtin import _parallel
-
-    return _parallel.processes(number or _parallel.thread_count())
-
-
-def _tile_job(
-    dems: list[Path],
-    kind: str,
-    *,
-    zoom: tuple[int | None, int | None],
-    max_error: list[float],
-    cells: int | None,
-    band: int,
-    encoding: str | None,
-    world: dict[str, Any],
-) -> TileJob:
-    """Return the job that the options ask for."""
-    from rtin.io.tile_jobs import raster_tiles, world_tiles
-
-    common: dict[str, Any] = {"zoom": zoom, "max_error": max_error, "band": band}
-    common |= {"encoding": encoding} | ({} if cells is None else {"cells": cells})
-    if kind in ("terrain", "3dtiles"):
-        fill, credit = world.pop("fill"), world.pop("attribution")
-        if fill is not None:
-            common["fill"] = None if fill == "none" else _numbers_of("--fill", fill)[0]
-        about = {"name": _listed(dems), "attribution": credit or ""}
-        return world_tiles(dems, kind, about=about, **world, **common)  # type: ignore[arg-type]
-    if len(dems) > 1:
-        raise ValueError(f"--format {kind} takes one raster, got {len(dems)}; make a VRT of them")
-    return raster_tiles(dems[0], kind, **common)
-
-
-def _zooms_of(text: str | None) -> tuple[int | None, int | None]:
-    """Return first and last zoom: of "3-7", "7", or nothing."""
-    if text is None:
-        return None, None
-    first, _, last = text.partition("-")
-    if not (first.isdigit() and (last.isdigit() or "-" not in text)):
-        raise typer.BadParameter(f"--zoom wants one zoom or two, such as 0-12, got {text!r}")
-    return int(first), int(last or first)
-
-
-def _numbers_of(option: str, text: str | None) -> list[float]:
-    """Return the numbers between commas."""
-    try:
-        numbers = [float(part) for part in (text or "").split(",") if text is not None]
-    except ValueError:
-        numbers = [math.nan]
-    if any(not math.isfinite(number) for number in numbers):
-        raise typer.BadParameter(f"{option} wants numbers, got {text!r}")
-    return numbers
-
-
-def _listed(paths: list[Path]) -> str:
-    more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-    return f"{paths[0].name}{more}"
-
-
-def _report_tiles(
-    job: TileJob, dems: list[Path], out: Path, made: Summary, seconds: float, as_json: bool
-) -> None:
-    n_nodes = sum(level.n_tiles for level in made.levels) * job.plan.cells**2
-    summary: dict[str, Any] = {
-        "input": [str(dem) for dem in dems],
-        "output": str(out),
-        "tiles": sum(level.n_tiles for level in made.levels),
-        "made": made.n_made,
-        "removed": made.n_removed,
-        "bytes": sum(level.n_bytes for level in made.levels),
-        "seconds": round(seconds, 3),
-    }
-    if as_json:
-        levels = [asdict(level) for level in made.levels]
-        _report({**summary, "nodes": n_nodes, "levels": levels, "notes": job.notes}, as_json)
-        return
-    print(f"{'zoom':>6}{'tiles':>9}{'vertices':>12}{'triangles':>12}{'tolerance':>12}{'error':>12}")
-    for level in made.levels:
-        counts = f"{level.n_tiles:>9}{level.n_vertices:>12}{level.n_triangles:>12}"
-        print(f"{level.zoom:>6}{counts}{level.tolerance:>12.6g}{level.max_error:>12.6g}")
-    _report(summary, as_json)
-
-
-@app.command()
-def serve(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="TILES|DEM...", help="A folder that rtin tiles has filled, or rasters."
-        ),
-    ],
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
-    cesium: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Where npm has installed CesiumJS, if not here."),
-    ] = None,
-    zoom: _Zoom = None,
-    max_error: _MaxErrors = None,
-    scheme: _Scheme = "geographic",
-    cells: _Cells = None,
-    fill: _Fill = None,
-    geoid: _Geoid = None,
-    no_normals: _NoNormals = False,
-    attribution: _Attribution = None,
-    workers: _Workers = None,
-    band: _Band = 1,
-    encoding: _Encoding = None,
-) -> None:
-    """Serve terrain tiles over HTTP, with pages that show them.
-
-    The tiles of rasters are made when they are asked for, and are those that rtin tiles would
-    write. Options from --zoom on are for rasters.
-    """
-    with _one_line_errors(), ExitStack() as stack:
-        from rtin import serve as server
-
-        if len(paths) == 1 and paths[0].is_dir():
-            server.run(server.FolderStore(paths[0]), host, port, cesium=cesium, say=_tell)
-            return
-        from rtin.io.live_tiles import LiveTiles
-
-        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)
-        job = _tile_job(
-            paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
-            cells=cells, band=band, encoding=encoding,
-            world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
-                   "attribution": attribution},
-        )  # fmt: skip
-        for note in job.notes:
-            _say(note)
-        _say_if_not_compiled()
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="rtin-serve-")))
-        with (
-            _workers(workers or (1 if job.plan.n_tiles <= _FEW_TILES else None), None) as executor,
-            _progress_bar(f"preparing {_listed(paths)}") as tell,
-        ):
-            live = LiveTiles(job, folder, executor=executor, tell=tell)
-        server.run(live, host, port, cesium=cesium, say=_tell)
+app.command()(tiles)
+app.command()(serve)
 
 
 @app.command()
@@ -731,11 +456,11 @@ def demo(
     max_error: Annotated[
         float, typer.Option(metavar="METRES", help="Tolerance to coarsen to.")
     ] = 50.0,
-    as_json: _Json = False,
+    as_json: Json = False,
 ) -> None:
     """Coarsen a real DEM into files to look at."""
     asked = _the_only_option(max_error=max_error)
-    with _one_line_errors():
+    with one_line_errors():
         from rtin import samples
         from rtin.io.meshes import write_mesh
         from rtin.plotting import save_picture
@@ -745,7 +470,7 @@ def demo(
         grid = samples.jacksboro_fault()
         mesh, error = _coarsen_and_measure(grid, asked)
         written = [folder / name for name in ("terrain.glb", "terrain.html", "terrain.png")]
-        with _progress(f"writing {folder}"):
+        with progress(f"writing {folder}"):
             write_mesh(mesh, written[0], z_scale=2.0)
             write_mesh(mesh, written[1], z_scale=2.0)
             save_picture(mesh, written[2], grid=grid)
@@ -758,7 +483,7 @@ def demo(
             "written": [str(path) for path in written],
             "notes": ["heights are doubled in terrain.glb and terrain.html"],
         }
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 @study.command("propagation")
@@ -773,16 +498,16 @@ def study_propagation(
     long: Annotated[
         bool, typer.Option("--long", help="Go on to a million refinements; takes minutes.")
     ] = False,
-    as_json: _Json = False,
+    as_json: Json = False,
 ) -> None:
     """Measure how far refinement propagates: figure 3 of the paper, and beyond."""
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.studies import pictures, propagation
 
         started = time.perf_counter()
         pictures.require_places(out)
-        measured = propagation.measure(seeds, splits, long=long, stage=_progress)
-        with _progress(f"drawing {out}"):
+        measured = propagation.measure(seeds, splits, long=long, stage=progress)
+        with progress(f"drawing {out}"):
             written = pictures.write_pictures(measured, out)
         rows = propagation.rows(measured)
         summary: dict[str, Any] = {
@@ -795,7 +520,7 @@ def study_propagation(
         if not as_json:
             print(propagation.as_text(rows), end="\n\n")
             del summary["rows"]
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 @study.command("accuracy")
@@ -815,13 +540,13 @@ def study_accuracy(
         str,
         typer.Option(metavar="NAMES", help="More simplifiers to compare with, apart by commas."),
     ] = "",
-    band: _Band = 1,
+    band: Band = 1,
     window: _Window = None,
-    encoding: _Encoding = None,
-    as_json: _Json = False,
+    encoding: Encoding = None,
+    as_json: Json = False,
 ) -> None:
     """Measure how near meshes are to their terrain: Tables 1 to 3, figures 5 and 6 of the paper."""
-    with _one_line_errors():
+    with one_line_errors():
         from rtin.studies import accuracy, accuracy_pictures
 
         started = time.perf_counter()
@@ -829,8 +554,8 @@ def study_accuracy(
             names = accuracy.names_with(against)
         accuracy_pictures.require_places(out)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
-        measured = accuracy.measure(grid, names, stage=_progress)
-        with _progress(f"drawing {out}"):
+        measured = accuracy.measure(grid, names, stage=progress)
+        with progress(f"drawing {out}"):
             written = accuracy_pictures.write_pictures(measured, out)
             written.append(accuracy_pictures.write_figure_5(accuracy.close_up(grid), out))
         summary: dict[str, Any] = {
@@ -846,7 +571,7 @@ def study_accuracy(
             print(accuracy.as_text(measured), accuracy.times_as_text(measured), sep="\n\n")
             print()
             del summary["rows"], summary["at_thresholds"], summary["notes"]
-        _report(summary, as_json)
+        report(summary, as_json)
 
 
 # --- steps --------------------------------------------------------------------------------------
@@ -856,21 +581,21 @@ def _read_grid(
     dem: Path,
     band: int,
     window: tuple[int, int, int, int] | None,
-    encoding: _EncodingName | None,
+    encoding: EncodingName | None,
 ) -> Grid:
     from rtin.io.grids import read_grid
 
     slices = None if window is None else ((window[0], window[1]), (window[2], window[3]))
-    with _progress(f"reading {dem}"):
+    with progress(f"reading {dem}"):
         return read_grid(dem, window=slices, band=band, encoding=encoding)
 
 
 def _coarsen_and_measure(grid: Grid, asked: dict[str, Any]) -> tuple[TriangleMesh, VerticalError]:
     from rtin.coarsening import coarsen
 
-    _say_if_not_compiled()
+    say_if_not_compiled()
     rows, cols = grid.shape
-    with _progress(f"coarsening {rows} × {cols} samples"):
+    with progress(f"coarsening {rows} × {cols} samples"):
         mesh = coarsen(grid, **asked)
     return mesh, _measured(mesh, grid)
 
@@ -909,7 +634,7 @@ def _lattice_beyond(
     dem: Path,
     band: int,
     window: tuple[int, int, int, int] | None,
-    encoding: _EncodingName | None,
+    encoding: EncodingName | None,
 ) -> HeightLattice | None:
     """Return a raster that is to be coarsened in tiles, None for one to be read as a whole.
 
@@ -929,7 +654,7 @@ def _lattice_beyond(
         return None
     if asked.keys() == {"max_error"}:
         for warning in caught:  # of a raster that is read as a whole they come then
-            _say(_one_line(str(warning.message)))
+            say(one_line(str(warning.message)))
         return lattice
     if limit is not None:
         raise MemoryError(
@@ -943,7 +668,7 @@ def _open_lattice(
     dem: Path,
     band: int,
     window: tuple[int, int, int, int] | None,
-    encoding: _EncodingName | None,
+    encoding: EncodingName | None,
 ) -> Any:  # noqa: ANN401
     from rtin.io.lattices import RasterLattice
     from rtin.out_of_core import LatticeWindow
@@ -962,14 +687,14 @@ def _coarsened_in_tiles(
     from rtin.io.grids import FillValues
     from rtin.out_of_core import coarsen_lattice, lattice_error
 
-    _say_if_not_compiled()
+    say_if_not_compiled()
     shape = tuple(end - first for first, end in (lattice.rows, lattice.cols))
     fills = FillValues()
     # GDAL would keep a twentieth of the machine's memory of what it has read.
     with rasterio.Env(GDAL_CACHEMAX=limit // _GDALS_SHARE):
-        with _progress_bar(f"coarsening {shape[0]} × {shape[1]} samples in tiles") as tell:
+        with progress_bar(f"coarsening {shape[0]} × {shape[1]} samples in tiles") as tell:
             mesh = coarsen_lattice(lattice, max_error=max_error, memory=limit, tell=tell)
-        with _progress_bar("measuring the achieved error") as tell:
+        with progress_bar("measuring the achieved error") as tell:
             error = lattice_error(mesh, lattice, memory=limit, look=fills.look, tell=tell)
     counts = {
         "rows": shape[0],
@@ -981,15 +706,10 @@ def _coarsened_in_tiles(
     return mesh, counts, _achieved(error), [*notes, *fills.lines(), *_warnings_about_crs(mesh.crs)]
 
 
-def _say_if_not_compiled(module: str = "rtin.coarsening", seconds: int = 15) -> None:
-    if not import_module(module).is_compiled():
-        _say(f"first run: compiling, which takes some {seconds} seconds, once for this machine")
-
-
 def _measured(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     from rtin.criteria import vertical_error
 
-    with _progress("measuring the achieved error"):
+    with progress("measuring the achieved error"):
         return vertical_error(mesh, grid)
 
 
@@ -1079,7 +799,7 @@ def _warnings_about_crs(crs: Any) -> list[str]:  # noqa: ANN401  (pyproj is impo
     return []
 
 
-def _grid_info(path: Path, band: int, encoding: _EncodingName | None) -> dict[str, Any]:
+def _grid_info(path: Path, band: int, encoding: EncodingName | None) -> dict[str, Any]:
     import numpy as np
 
     from rtin.io.grids import suspicious_values
@@ -1105,7 +825,7 @@ def _mesh_info(path: Path) -> dict[str, Any]:
     from rtin.io.meshes import read_mesh
     from rtin.validity import complaints, is_closed
 
-    with _progress(f"reading {path}"):
+    with progress(f"reading {path}"):
         mesh = read_mesh(path)
     low, high = mesh.bounds
     solid = is_closed(mesh)
@@ -1189,13 +909,13 @@ def _read_surface(
     path: Path,
     band: int,
     window: tuple[int, int, int, int] | None,
-    encoding: _EncodingName | None,
+    encoding: EncodingName | None,
 ) -> TriangleMesh | Grid:
     from rtin.io.meshes import is_mesh_path, read_mesh
 
     if not is_mesh_path(path):
         return _read_grid(path, band, window, encoding)
-    with _progress(f"reading {path}"):
+    with progress(f"reading {path}"):
         return read_mesh(path)
 
 
@@ -1209,9 +929,9 @@ def _compared_pair(
     """Compare two files and write what is wanted; return the summary, notes last."""
     from rtin.studies import comparison, comparison_pictures, comparison_report
 
-    _say_if_not_compiled("rtin.distance", seconds=30)
+    say_if_not_compiled("rtin.distance", seconds=30)
     a, b = (read(path) for path in paths)
-    pair = comparison.measure_pair(a, b, method, stage=_progress_bar)
+    pair = comparison.measure_pair(a, b, method, stage=progress_bar)
     names = (paths[0].name, paths[1].name)
     _write_reports(outputs, {
         "csv": lambda: comparison_report.csv_of_pair(pair),
@@ -1268,11 +988,11 @@ def _compared_with_others(
     with _values_are_usage():
         tolerances = comparison.tolerances_in(asked[0])
         names = comparison.names_in(asked[1])
-    _say_if_not_compiled("rtin.distance", seconds=30)
+    say_if_not_compiled("rtin.distance", seconds=30)
     grid = read(path)
     assert isinstance(grid, Grid)
     found = comparison.measure(
-        grid, tolerances, names, match=asked[2], method=method, stage=_progress_bar
+        grid, tolerances, names, match=asked[2], method=method, stage=progress_bar
     )
     notes = [*found.notes, *_warnings_about(grid)]
     _write_reports(outputs, {
@@ -1293,7 +1013,7 @@ def _write_reports(outputs: dict[str, Path], make: dict[str, Callable[[], bytes 
     from rtin._atomic import write_bytes
 
     for name, out in outputs.items():
-        with _progress(f"writing {out}"):
+        with progress(f"writing {out}"):
             made = make[name]()
             if made is not None:
                 write_bytes(out, made)
@@ -1376,156 +1096,3 @@ def _values_are_usage() -> Iterator[None]:
 
 
 # --- messages -----------------------------------------------------------------------------------
-
-
-def _report(summary: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(_finite(summary), allow_nan=False), flush=True)
-        return
-    for name, value in summary.items():
-        if value is not None and value is not False and value != []:
-            print(f"{name.replace('_', ' '):>18}  {_readable(value)}")
-    sys.stdout.flush()
-
-
-def _finite(value: Any) -> Any:  # noqa: ANN401
-    """Return the same with None for what JSON has no number for."""
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _readable(value: Any) -> str:  # noqa: ANN401
-    if isinstance(value, dict):
-        return ", ".join(f"{name.replace('_', ' ')} {_readable(v)}" for name, v in value.items())
-    if isinstance(value, list):
-        return (", " if isinstance(value[0], float) else "; ").join(map(_readable, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}" if abs(value) < 1e6 else f"{value:.10g}"
-    if isinstance(value, int):
-        return f"{value:,}".replace(",", " ")
-    return str(value)
-
-
-def _tell(message: str) -> None:
-    print(message, flush=True)
-
-
-def _say(message: str) -> None:
-    print(f"rtin: {message}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[None]:
-    """Say on stderr what is going on, once it has taken more than a second.
-
-    On a terminal a spinner shows that it still does.
-    """
-    with _progress_bar(what):
-        yield
-
-
-@contextmanager
-def _progress_bar(what: str) -> Iterator[Callable[[float], None]]:
-    """Do what ``_progress`` does; say too what share is done, when told."""
-    with ExitStack() as stack:
-        shown = _Shown(what, stack)
-        timer = threading.Timer(_QUIET_SECONDS, shown.begin)
-        timer.daemon = True
-        timer.start()
-        try:
-            yield shown.tell
-        finally:
-            timer.cancel()
-            timer.join()
-    if _interrupted.is_set():
-        raise KeyboardInterrupt
-
-
-class _Shown:
-    """What is seen of work that goes on: a spinner on a terminal, else a line now and then."""
-
-    def __init__(self, what: str, stack: ExitStack) -> None:
-        self._what, self._stack = what, stack
-        self._update: Callable[[float], None] | None = None
-        self._began = time.monotonic()
-        self._said = math.inf
-
-    def begin(self) -> None:
-        if not sys.stderr.isatty():
-            _say(f"{self._what} …")
-            self._said = time.monotonic()
-            return
-        from rich.console import Console
-        from rich.progress import (
-            Progress,
-            SpinnerColumn,
-            TaskProgressColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
-        progress = Progress(
-            SpinnerColumn(), TextColumn("{task.description}"), TaskProgressColumn(),
-            TimeElapsedColumn(), TimeRemainingColumn(),
-            console=Console(stderr=True), transient=True,
-        )  # fmt: skip
-        self._stack.enter_context(progress)
-        task = progress.add_task(f"rtin: {self._what} …", total=None)
-        self._update = lambda share: progress.update(task, total=1.0, completed=share)
-
-    def tell(self, share: float) -> None:
-        if self._update is not None:
-            self._update(share)
-        elif time.monotonic() - self._said > _SECONDS_BETWEEN_LINES:
-            self._said = time.monotonic()
-            left = (self._said - self._began) * (1.0 / share - 1.0) if share > 0.0 else math.inf
-            about = f", about {left:.0f} s left" if left < math.inf else ""
-            _say(f"{self._what}: {100 * share:.0f} %{about}")
-
-
-@contextmanager
-def _one_line_errors() -> Iterator[None]:
-    """Turn a failure into one line on stderr and exit code 1; RTIN_DEBUG=1 shows the traceback."""
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: _say(_one_line(message))
-            yield
-    except (typer.Exit, typer.BadParameter):
-        raise
-    except Exception as error:
-        if _interrupted.is_set():
-            raise KeyboardInterrupt from None
-        if os.environ.get("RTIN_DEBUG"):
-            raise
-        _give_up(error)
-        raise typer.Exit(1) from None
-
-
-def _give_up(error: Exception) -> None:
-    """Say what failed, and let go of a stdout that can't be written to.
-
-    Python would complain of it again when it ends. That nobody reads on (``| head``) is no news.
-    """
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    if not isinstance(error, BrokenPipeError):
-        expected = isinstance(
-            error, OSError | ValueError | TypeError | IndexError | MemoryError | ImportError
-        )
-        _say(_one_line(error) if expected else f"{type(error).__name__}: {_one_line(error)}")
-
-
-def _one_line(error: BaseException | str) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename or 'cannot write to stdout'}: {error.strerror}"
-    if isinstance(error, MemoryError):
-        return f"not enough memory: ask for fewer triangles or samples ({error})".replace(" ()", "")
-    return " ".join(str(error).split()) or type(error).__name__
