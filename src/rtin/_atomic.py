@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["replacing", "require_place", "write_bytes"]
+__all__ = ["describing", "replacing", "require_place", "write_bytes"]
 
 
 @contextmanager
@@ -35,12 +35,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
     require_place(path)
     try:
-        yield part
-        if target.exists():
-            part.chmod(stat.S_IMODE(target.stat().st_mode))
-        part.replace(target)
-    except OSError as error:
-        raise _described(error, path) from error
+        with describing(path):
+            yield part
+            if target.exists():
+                part.chmod(stat.S_IMODE(target.stat().st_mode))
+            part.replace(target)
     finally:
         part.unlink(missing_ok=True)
 
@@ -72,8 +71,13 @@ def require_place(path: str | os.PathLike[str]) -> None:
         raise PermissionError(f"{wanted}: no permission to write in the folder {target.parent}")
 
 
-def _described(error: OSError, path: str | os.PathLike[str]) -> OSError:
-    reason = error.strerror or str(error)
-    described = type(error)(f"cannot write {os.fspath(path)}: {reason}")
-    described.errno = error.errno
-    return described
+@contextmanager
+def describing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Say in every OSError that it was this file that could not be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        described = type(error)(f"cannot write {os.fspath(path)}: {reason}")
+        described.errno = error.errno
+        raise described from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin._atomic import describing
 from rtin._raster import widened
 from rtin.tiles import HeightLattice, Span
 
@@ -43,10 +45,9 @@ class DecimatedLattice:
         rows, cols = (_every(step, span) for span in (lattice.rows, lattice.cols))
         transform = widened(lattice.transform, step)
         decimated = cls(path, step, rows, cols, period, transform, lattice.crs, dtype)
-        with path.open("ab") as file:
-            file.truncate(
-                max(1, np.dtype(dtype).itemsize * (rows[1] - rows[0]) * (cols[1] - cols[0]))
-            )
+        size = np.dtype(dtype).itemsize * (rows[1] - rows[0]) * (cols[1] - cols[0])
+        with describing(path), path.open("ab") as file:
+            file.truncate(max(1, size))
         return decimated
 
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
@@ -57,14 +58,21 @@ class DecimatedLattice:
         return heights
 
     def record(self, rows: Span, cols: Span, heights: NDArray[np.floating[Any]]) -> None:
-        """Take over what belongs here of a window of the lattice that this one is made from."""
+        """Take over what belongs here of a window of the lattice that this one is made from.
+
+        Raises OSError where the file can't be written. Nothing is written through memory that is
+        mapped: on a full disk that would end the process.
+        """
         first_row, first_col = (-span[0] % self.step for span in (rows, cols))
         part = np.ascontiguousarray(heights[first_row :: self.step, first_col :: self.step])
         row, col = ((span[0] + self.step - 1) // self.step for span in (rows, cols))
         bits = part.view(self._nan.dtype) ^ self._nan
         window = (row, row + len(part)), (col, col + part.shape[1])
-        for ours, theirs in self._shared(*window):
-            self._bits[ours] = bits[theirs]
+        with describing(self.path), self.path.open("r+b", buffering=0) as file:
+            for (our_rows, our_cols), theirs in self._shared(*window):
+                first = our_rows.start * self._n_cols + our_cols.start
+                for number, values in enumerate(bits[theirs]):
+                    _write(file, (first + number * self._n_cols) * values.itemsize, values)
 
     def _shared(self, rows: Span, cols: Span) -> Iterator[tuple[Any, Any]]:
         """Yield what a window and the file have in common, as slices of either."""
@@ -85,10 +93,14 @@ class DecimatedLattice:
         bits = np.array([np.nan], self.dtype)
         return bits.view(f"u{bits.itemsize}")
 
+    @property
+    def _n_cols(self) -> int:
+        return self.cols[1] - self.cols[0]
+
     @cached_property
     def _bits(self) -> NDArray[Any]:
-        shape = self.rows[1] - self.rows[0], self.cols[1] - self.cols[0]
-        return np.memmap(self.path, self._nan.dtype, "r+", shape=shape)
+        shape = self.rows[1] - self.rows[0], self._n_cols
+        return np.memmap(self.path, self._nan.dtype, "r", shape=shape)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_bits"}
@@ -132,6 +144,14 @@ class Recording:
         for decimated in self.decimated:
             decimated.record(rows, cols, heights)
         return heights
+
+
+def _write(file: FileIO, place: int, values: NDArray[Any]) -> None:
+    """Write all values; a disk that fills up takes a part of them first."""
+    left = values.data.cast("B")
+    file.seek(place)
+    while left:
+        left = left[file.write(left) :]
 
 
 def _every(step: int, span: Span) -> Span:

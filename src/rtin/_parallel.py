@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
+from threading import Thread
 from typing import Any
 
 __all__ = ["processes", "row_bands", "run", "thread_count"]
@@ -83,5 +84,14 @@ def processes(number: int) -> Iterator[Executor | None]:
 
 
 def _become_worker() -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for us
     os.environ["RTIN_NUM_THREADS"] = "1"
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that waits for it was killed: nobody else would."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

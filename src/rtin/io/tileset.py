@@ -191,13 +191,13 @@ def _opened(folder: Path, settings: dict[str, Any]) -> Path:
 def _start(state: Path, settings: dict[str, Any], sources: dict[str, str], *, update: bool) -> None:
     """Note what is going to be made; drop what was derived from rasters as they no longer are."""
     job = _job(state)
-    changed = job is not None and job["sources"] != sources
+    changed = job is not None and list(job["sources"].items()) != list(sources.items())
     if job is not None and changed and not update:
         names = [name for name in sources if job["sources"].get(name) != sources[name]]
         gone = [name for name in job["sources"] if name not in sources]
         raise ValueError(
-            f"{', '.join(names + gone)} changed since {state.parent} was made; "
-            "add --update to make the tiles that it touches anew"
+            f"{', '.join(names + gone) or 'the order of the rasters'} changed since {state.parent} "
+            "was made; add --update to make the tiles that it touches anew"
         )
     if changed:
         for path in (*state.glob("heights-*"), *state.glob("settled-*")):
