@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from io import FileIO
@@ -76,10 +76,7 @@ class DecimatedLattice:
 
     def _shared(self, rows: Span, cols: Span) -> Iterator[tuple[Any, Any]]:
         """Yield what a window and the file have in common, as slices of either."""
-        shifts = (
-            [0] if self.period is None else range(-2 * self.period, 3 * self.period, self.period)
-        )
-        for shift in shifts:
+        for shift in self._shifts(cols):
             moved = cols[0] + shift, cols[1] + shift
             (top, bottom), (left, right) = _overlap(rows, self.rows), _overlap(moved, self.cols)
             if top < bottom and left < right:
@@ -87,6 +84,13 @@ class DecimatedLattice:
                     (_slice(top, bottom, self.rows[0]), _slice(left, right, self.cols[0])),
                     (_slice(top, bottom, rows[0]), _slice(left, right, moved[0])),
                 )
+
+    def _shifts(self, cols: Span) -> Iterable[int]:
+        """Return what takes columns of a window, lap by lap, to those of the file."""
+        if self.period is None:
+            return (0,)
+        first = ((self.cols[0] - cols[1]) // self.period + 1) * self.period
+        return range(first, self.cols[1] - cols[0], self.period)
 
     @cached_property
     def _nan(self) -> NDArray[Any]:
