@@ -86,13 +86,9 @@ def normals_of(tile):
 
 def earth_centred(tile, bounds):
     """Return places of vertices; bounds are west, south, east, north in degrees or in EPSG:3857."""
-    west, south, east, north = bounds.edges
-    x = west + (east - west) * tile.u / LARGEST
-    y = south + (north - south) * tile.v / LARGEST
-    if bounds.is_mercator:
-        longitude, latitude = x / RADII[0], 2 * np.arctan(np.exp(y / RADII[0])) - np.pi / 2
-    else:
-        longitude, latitude = np.radians(x), np.radians(y)
+    west, south, east, north = edges_in_radians(bounds)
+    longitude = west + (east - west) * tile.u / LARGEST
+    latitude = south + (north - south) * tile.v / LARGEST
     up = np.stack(
         [
             np.cos(latitude) * np.cos(longitude),
@@ -103,6 +99,14 @@ def earth_centred(tile, bounds):
     )
     on_ellipsoid = RADII**2 * up / np.sqrt((RADII**2 * up**2).sum(axis=1))[:, None]
     return on_ellipsoid + tile.heights[:, None] * up
+
+
+def edges_in_radians(bounds):
+    if not bounds.is_mercator:
+        return np.radians(bounds.edges)
+    west, south, east, north = np.array(bounds.edges) / RADII[0]
+    south, north = 2 * np.arctan(np.exp([south, north])) - np.pi / 2
+    return west, south, east, north
 
 
 def check(data, bounds):

@@ -1,10 +1,7 @@
 """3D Tiles: GLBs and tilesets are read back by readers written from the specifications."""
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +13,12 @@ import glb_decoder
 import terrains
 import tileset_reader
 from lattices import ArrayLattice
+from node import assert_valid_3d_tiles, assert_valid_gltf
 from rtin.io.tiles3d import Tiles3D, content, position_step, tileset_files
 from rtin.io.tileset import TileRecord
 from rtin.schemes import SCHEMES
 from rtin.tiles import Tiling, make_tiles, settle_borders
 
-NODE_MODULES = Path(__file__).parent / "node_modules"
 PLACES = {  # scheme, zoom, row and column of the first tile
     "a root": ("geographic", 0, 0, 0),
     "the other root": ("geographic", 0, 0, 1),
@@ -368,40 +365,11 @@ def test_skirts_reach_what_lies_two_zooms_apart():
 
 
 def test_the_gltf_validator_finds_no_fault(tmp_path):
-    require_node("gltf-validator")
     folder_of(tmp_path)
-    program = """
-        const validator = require("gltf-validator"), fs = require("fs");
-        for (const path of process.argv.slice(1))
-            validator.validateBytes(new Uint8Array(fs.readFileSync(path))).then(report =>
-                console.log(JSON.stringify(report.issues)));
-    """
-    paths = sorted(map(str, tmp_path.rglob("*.glb")))
-    done = run_node(["-e", program, *paths])
-    reports = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(reports) == len(paths)
-    assert all(report["numErrors"] == report["numWarnings"] == 0 for report in reports), reports
+    assert_valid_gltf(tmp_path.rglob("*.glb"))
 
 
 @pytest.mark.parametrize("place", [("geographic", 12, 1000, 2000), ("mercator", 9, 100, 200)])
 def test_the_3d_tiles_validator_finds_no_fault(tmp_path, place):
-    require_node("3d-tiles-validator")
     folder_of(tmp_path, place)
-    report = tmp_path / "report.json"
-    main = str(NODE_MODULES / "3d-tiles-validator" / "build" / "main")
-    run_node([main, "-t", str(tmp_path / "tileset.json"), "-r", str(report)])
-    found = json.loads(report.read_text())
-    assert (found["numErrors"], found["numWarnings"]) == (0, 0), found
-
-
-def require_node(package):
-    if shutil.which("node") is None or not (NODE_MODULES / package).is_dir():
-        pytest.skip(f"{package} is not installed: npm install --prefix tests")
-
-
-def run_node(arguments):
-    done = subprocess.run(
-        ["node", *arguments], cwd=NODE_MODULES.parent, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done
+    assert_valid_3d_tiles(tmp_path)

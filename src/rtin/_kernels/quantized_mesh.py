@@ -79,9 +79,12 @@ def fill_normals(rows, cols, slopes, period, spacing, west, north, is_mercator, 
 @jit
 def fill_positions(u, v, heights, tile_row, tile_col, side, west, north, is_mercator, positions):
     """Write the Earth-centred places of vertices as a reader decodes them."""
+    place = side, west, north, is_mercator
+    left, top = node_place(tile_row, tile_col, *place)
+    right, bottom = node_place(tile_row + 1, tile_col + 1, *place)
     for i in range(len(u)):
-        row, col = tile_row + 1.0 - v[i] / LARGEST, tile_col + u[i] / LARGEST
-        longitude, latitude = node_place(row, col, side, west, north, is_mercator)
+        longitude = left + (right - left) * (u[i] / LARGEST)
+        latitude = bottom + (top - bottom) * (v[i] / LARGEST)
         positions[i] = earth_centred(longitude, latitude, heights[i])
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtin.schemes import SCHEMES, Scheme
+from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
 from rtin.tiles import Place, Tile
 
 if TYPE_CHECKING:
@@ -136,7 +136,8 @@ def encode(
     order = np.empty(len(tile.heights), np.int64)
     indices = np.empty(tile.triangles.size, np.uint32)
     order = order[: kernels.number_by_use(tile.triangles, len(order), order, indices)]
-    u, v, steps, lowest = _numbers(tile, order, height_step)
+    shares = _shares_from_south(tile, scheme, zoom)
+    u, v, steps, lowest = _numbers(tile, order, shares, height_step)
     heights = height_step * (lowest + steps)
     positions = np.empty((len(order), 3))
     world = (scheme.west, scheme.north, scheme.crs == "EPSG:3857")
@@ -207,12 +208,26 @@ def _in_tms(zoom: int, rectangle: tuple[int, int, int, int]) -> dict[str, int]:
     }
 
 
+def _shares_from_south(tile: Tile, scheme: Scheme, zoom: int) -> NDArray[np.float64]:
+    """Return where each row of nodes lies between the southern edge, 0, and the northern, 1.
+
+    By latitude, in Mercator too: the specification and CesiumJS take v so.
+    """
+    rows = np.arange(tile.cells + 1)
+    if scheme.crs != "EPSG:3857":
+        return (tile.cells - rows) / tile.cells
+    y = scheme.north - scheme.spacing(zoom, tile.cells) * (tile.row * tile.cells + rows)
+    latitudes = np.arctan(np.sinh(y / EQUATORIAL_RADIUS))
+    shares: NDArray[np.float64] = (latitudes - latitudes[-1]) / (latitudes[0] - latitudes[-1])
+    return shares
+
+
 def _numbers(
-    tile: Tile, order: NDArray[np.int64], step: float
+    tile: Tile, order: NDArray[np.int64], shares: NDArray[np.float64], step: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], int]:
     """Return u, v and the steps above the lowest one of each vertex, and the lowest one."""
     u = np.rint(tile.cols[order] * (_LARGEST / tile.cells)).astype(np.int32)
-    v = np.rint((tile.cells - tile.rows[order]) * (_LARGEST / tile.cells)).astype(np.int32)
+    v = np.rint(_LARGEST * shares[tile.rows[order]]).astype(np.int32)
     multiples = np.rint(tile.heights[order] / step)
     lowest, highest = int(multiples.min()), int(multiples.max())
     if highest - lowest > _LARGEST:

@@ -50,9 +50,11 @@ export class Tiling {
   /** The place at a share u, v of a tile, from its south-west corner. */
   place(z, x, y, u, v) {
     const lon = (2 * (x + u) / (this.roots * 2 ** z) - 1) * Math.PI;
-    const north = (y + v) / 2 ** z;
-    if (!this.mercator) return [lon, (north - 0.5) * Math.PI];
-    return [lon, Math.atan(Math.sinh((2 * north - 1) * Math.PI))];
+    const edge = (row) => {
+      const north = row / 2 ** z;
+      return this.mercator ? Math.atan(Math.sinh((2 * north - 1) * Math.PI)) : (north - 0.5) * Math.PI;
+    };
+    return [lon, edge(y) + v * (edge(y + 1) - edge(y))]; // v goes by latitude in both
   }
 }
 
