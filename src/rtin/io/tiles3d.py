@@ -4,7 +4,8 @@ Tiles lie at ``{z}/{x}/{y}.glb``, x from the west and y from the north. The tile
 tile's own smallest and largest height bound it, and the tiles of Mercator, which a quadtree of
 regions has no room for, are bounded as truly as those of degrees. So that no file grows with the
 terrain, four zooms share one: deeper ones go on in ``{z}/{x}/{y}.json``, an external tileset that
-lies beside its root's GLB.
+lies beside its root's GLB. The zooms are shared out from the finest one on, so that nearly all
+files are full ones.
 """
 
 from __future__ import annotations
@@ -32,10 +33,11 @@ _FLOAT32_STEPS = 2**24  # whole numbers up to this have a float32
 _MOST_SHORT = 65535  # vertices whose indices take two bytes; the last index has a meaning
 _ZOOMS_IN_FILE = 4
 _MOST_BITS = 31  # of rows and columns of tiles
+_WORLD = (-180.0, -90.0, 180.0, 90.0)
 _ZOOMS_APART = 2  # of tiles side by side whose cracks a skirt hides
 
 _Tree = dict[str, Any]
-_Span = tuple[float, float]
+_Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,15 @@ class Tiles3D:
         Along a side of a tile.
     tolerances : dict of int to float
         Of each zoom, in metres: the geometric error of its tiles.
+    bounds : (float, float, float, float), optional
+        West, south, east and north of all heights, in degrees: viewers fly to what has terrain,
+        not to all of the largest tile. None where tiles are filled beyond the heights.
     """
 
     scheme: str
     cells: int
     tolerances: dict[int, float]
+    bounds: _Bounds | None = None
 
     def name(self, zoom: int, row: int, col: int) -> str:
         """Return a tile's path: zoom, column, and row from the north."""
@@ -88,11 +94,24 @@ class Tiles3D:
         self, records: Callable[[], Iterator[TileRecord]], tolerances: dict[int, float]
     ) -> Iterator[tuple[str, bytes]]:
         """Yield tileset.json and the external tilesets."""
+        above = self._moved(records())
+        below = {zoom: self.skirt(zoom) + moved for zoom, moved in above.items()}
         tiles = (
-            (tile.zoom, tile.row, tile.col, tile.low - self.skirt(tile.zoom), tile.high)
-            for tile in records()
+            (at.zoom, at.row, at.col, at.low - below[at.zoom], at.high + above[at.zoom])
+            for at in records()
         )
-        return tileset_files(tiles, tolerances, SCHEMES[self.scheme])
+        return tileset_files(tiles, tolerances, SCHEMES[self.scheme], self.bounds)
+
+    def _moved(self, records: Iterable[TileRecord]) -> dict[int, float]:
+        """Return how far positions may have been moved at each zoom."""
+        ranges: dict[int, float] = {}
+        for tile in records:
+            ranges[tile.zoom] = max(ranges.get(tile.zoom, 0.0), tile.high - tile.low)
+        # Nodes may lie above and below the highest and the lowest vertex, by the tolerance.
+        return {
+            zoom: self.rounding(zoom, span + 2.0 * self.tolerances[zoom])
+            for zoom, span in ranges.items()
+        }
 
     def _step(self, zoom: int, largest_range: float) -> float:
         return position_step(SCHEMES[self.scheme], zoom, largest_range + self.skirt(zoom))
@@ -247,6 +266,7 @@ def tileset_files(
     tiles: Iterable[tuple[int, int, int, float, float]],
     tolerances: dict[int, float],
     scheme: Scheme,
+    bounds: _Bounds | None = None,
 ) -> Iterator[tuple[str, bytes]]:
     """Yield path and content of tileset.json and of the external tilesets that it leads to.
 
@@ -264,6 +284,8 @@ def tileset_files(
     tolerances : dict of int to float
         Of each zoom, not growing with it.
     scheme : Scheme
+    bounds : (float, float, float, float), optional
+        West, south, east and north in degrees, beyond which no tile has anything.
 
     Raises
     ------
@@ -273,7 +295,7 @@ def tileset_files(
     levels = _levels(tiles)
     if not levels:
         raise ValueError("a tileset needs at least one tile, got none")
-    return _Writer(levels, tolerances, scheme).files()
+    return _Writer(levels, tolerances, scheme, np.radians(bounds or _WORLD).tolist()).files()
 
 
 @dataclass(frozen=True)
@@ -281,6 +303,12 @@ class _Writer:
     levels: dict[int, _Level]
     tolerances: dict[int, float]
     scheme: Scheme
+    bounds: list[float]  # in radians
+
+    @property
+    def first_zooms(self) -> range:
+        """Zooms where external tilesets begin, unless tileset.json does so further down."""
+        return range(max(self.levels) - _ZOOMS_IN_FILE, 0, -_ZOOMS_IN_FILE)
 
     def files(self) -> Iterator[tuple[str, bytes]]:
         """Yield tileset.json, then the external tilesets from coarse to fine."""
@@ -289,7 +317,7 @@ class _Writer:
         top = min(max(alone, default=0), first_drawn)
         root = self._root(top)
         yield "tileset.json", _document(root, max(self._side(top), root["geometricError"]))
-        for zoom in range(top + _ZOOMS_IN_FILE, max(self.levels) + 1, _ZOOMS_IN_FILE):
+        for zoom in sorted(zoom for zoom in self.first_zooms if zoom > top):
             for number in np.flatnonzero(np.diff(self.levels[zoom].first_child)).tolist():
                 root = self._tile(zoom, number, zoom, "../../")
                 yield f"{self._stem(zoom, number)}.json", _document(root, root["geometricError"])
@@ -316,7 +344,7 @@ class _Writer:
             "boundingVolume": {"region": self._region(zoom, number)},
             "geometricError": self._error(zoom, is_drawn=is_drawn),
         }
-        if first < end and zoom == first_zoom + _ZOOMS_IN_FILE:
+        if first < end and zoom > first_zoom and zoom in self.first_zooms:
             tile["content"] = {"uri": f"{up}{self._stem(zoom, number)}.json"}
             return tile
         if is_drawn:
@@ -345,13 +373,9 @@ class _Writer:
         else:
             west, south, east, north = map(radians, (west, south, east, north))
         heights = float(level.lows[number]), float(level.highs[number])
-        return [
-            max(west, -pi),
-            max(south, -pi / 2.0),
-            min(east, pi),
-            min(north, pi / 2.0),
-            *heights,
-        ]
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        corners = np.array([[west, south], [east, north]]).clip(low, high)
+        return [*corners.ravel().tolist(), *heights]
 
     def _stem(self, zoom: int, number: int) -> str:
         return _stem(zoom, *self.levels[zoom].place(number))
