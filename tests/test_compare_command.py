@@ -439,7 +439,7 @@ def test_what_lasts_says_what_share_is_done(capsys, monkeypatch):
     with cli._progress_bar("measuring") as tell:
         while "measuring: 50 %" not in (shown := capsys.readouterr().err):
             tell(0.5)
-    assert shown.splitlines()[-1] == "rtin: measuring: 50 %"
+    assert shown.splitlines()[-1] == "rtin: measuring: 50 %, about 0 s left"
 
 
 def test_what_is_quick_says_nothing(capsys):

@@ -46,6 +46,7 @@ CHOSEN = [
     "test_hausdorff.py::test_of_a_pyramid_and_its_base_is_its_height",
     "test_terrain_difference.py::test_is_the_sum_over_all_pairs_of_triangles",
     "test_sampling.py::test_takes_what_metro_takes",
+    "test_tiles3d.py::test_skirts_hang_from_no_hole",
     "test_sampling.py::test_all_edges_get_points",
     "test_lattices.py::test_heights_are_bilinear_between_the_samples[UTM]",
     "test_lattices.py::test_an_l_of_rasters_has_no_hole_at_its_inner_corner",

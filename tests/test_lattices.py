@@ -1,6 +1,7 @@
 """Heights of lattices, window by window: rasters' own nodes, and those of tiling schemes."""
 
 import math
+import multiprocessing
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
@@ -442,6 +443,15 @@ def test_a_fingerprint_follows_the_sources_of_a_vrt(tmp_path):
     before = fingerprint([tmp_path / "dem.vrt"])
     write(path, rough(9, 9), Affine(2, 0, 5, 0, -2, 9), compress="deflate")
     assert fingerprint([tmp_path / "dem.vrt"]) != before
+
+
+def test_a_forked_process_reads_a_raster_that_its_parent_has_open(tmp_path):
+    heights = rough(200, 300)
+    lattice = RasterLattice(write(tmp_path / "dem.tif", heights, Affine(0.1, 0, 5, 0, -0.1, 9)))
+    lattice.read((0, 200), (0, 300))
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        theirs = pool.apply_async(lattice.read, ((0, 200), (0, 300)))
+        assert_array_equal(theirs.get(timeout=60), heights)
 
 
 def test_a_grid_with_voids_pads_with_voids():

@@ -71,7 +71,7 @@ def test_files_hold_shared_vertices_at_one_place(tmp_path, transform, crs, exten
         vertices = as_in_file(output.encode(1, tile, 100.0), extension, tmp_path)
         nodes = zip(tile.row * 8 + tile.rows, tile.col * 8 + tile.cols, strict=True)
         if extension == "stl":  # which has no vertices, but corners
-            nodes = [node for node in np.array(list(nodes))[tile.triangles.ravel()].tolist()]
+            nodes = np.array(list(nodes))[tile.triangles.ravel()].tolist()
             nodes = order_of_corners(nodes, output, tile)
         n_vertices += len(tile.heights)
         for node, vertex in zip(nodes, vertices.tolist(), strict=True):
@@ -152,6 +152,15 @@ def test_any_raster_with_holes_fits_together(raster, cells):
         world = glb_decoder.decode(output.encode(5, tile, 0.0)).world.tolist()
         for node, place in zip(nodes, world, strict=True):
             assert places.setdefault(tuple(map(int, node)), place) == place
+
+
+def test_degrees_become_metres_around_the_middle_of_the_raster():
+    lattice = lattice_of(np.zeros((17, 17)), Affine(0.1, 0.0, 12.0, 0.0, -0.1, 60.8), DEGREES)
+    output = PlainMeshes.of_lattice(lattice, "glb", 1)
+    world = [glb_decoder.decode(output.encode(1, t, 0.0)).world for t in tiles_of(lattice)]
+    width, height = np.ptp(np.concatenate(world), axis=0)[:2]
+    assert width == pytest.approx(1.6 * 55_800, rel=1e-3)
+    assert height == pytest.approx(1.6 * 111_412, rel=1e-3)
 
 
 def test_coarser_zooms_lie_on_the_nodes_of_the_last():

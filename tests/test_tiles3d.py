@@ -92,13 +92,16 @@ def test_triangles_face_the_sky_and_are_the_tiles_own(place):
 
 
 @pytest.mark.parametrize("name", ["the antimeridian", "Mercator's antimeridian", "a deep zoom"])
-@pytest.mark.parametrize("skirt", [0.0, 33.3])
-def test_a_vertex_that_tiles_share_has_one_place_and_one_normal(name, skirt):
+@pytest.mark.parametrize(("heights", "tolerance", "skirt"), [
+    (terrains.noise((17, 17)), 6.0, 0.0), (terrains.noise((17, 17)), 6.0, 33.3),
+    (np.zeros((17, 17)), 0.0, 1.0),
+])  # fmt: skip
+def test_a_vertex_that_tiles_share_has_one_place_and_one_normal(name, heights, tolerance, skirt):
     place, known, n_common = PLACES[name], {}, 0
     scheme, zoom = SCHEMES[place[0]], place[1]
     step = position_step(scheme, zoom, 200.0)
     n_cols = (scheme.roots << zoom) * 4
-    for tile in tiles_of(terrains.noise((17, 17)), 4, 6.0, place):
+    for tile in tiles_of(heights, 4, tolerance, place):
         # The third column of tiles lies beyond the antimeridian.
         tile = replace(tile, col=tile.col % (scheme.roots << zoom))
         found = read(tile, place, skirt=skirt, step=step)
@@ -111,7 +114,7 @@ def test_a_vertex_that_tiles_share_has_one_place_and_one_normal(name, skirt):
         ):  # fmt: skip
             n_common += node in known
             assert known.setdefault(node, (world, normal)) == (world, normal)
-    assert n_common > 30
+    assert n_common > 20
 
 
 def test_the_positions_are_sums_without_rounding():
@@ -229,9 +232,8 @@ def sparse_sets(draw):
         n_rows, n_cols = SCHEMES[scheme].tile_shape(zoom)
         places.add((zoom, int(y * n_rows), int(x * n_cols)))
     heights = st.floats(-400, 8000)
-    records = [
-        (*place, *sorted((draw(heights), draw(heights)))) for place in draw(st.permutations(sorted(places)))
-    ]  # fmt: skip
+    shuffled = draw(st.permutations(sorted(places)))
+    records = [(*place, *sorted((draw(heights), draw(heights)))) for place in shuffled]
     tolerances = {zoom: 3.0 * 2.0 ** (last - zoom) for zoom in range(first, last + 1)}
     return scheme, records, tolerances
 
@@ -240,13 +242,12 @@ def sparse_sets(draw):
 def test_a_reader_finds_every_tile_of_any_set(case):
     scheme, records, tolerances = case
     _, found = tree_of(records, tolerances, scheme)
-    for zoom, row, col, low, high in records:
+    for zoom, row, col, *_ in records:
         tile = found[f"{zoom}/{col}/{row}.glb"]
         assert tile["geometricError"] == tolerances[zoom]
         below = [r for r in records if r[0] >= zoom
                  and (r[1] >> r[0] - zoom, r[2] >> r[0] - zoom) == (row, col)]  # fmt: skip
         *region, lowest, highest = tile["boundingVolume"]["region"]
-        assert (low, high) == (low, high)
         assert lowest == min(r[3] for r in below)
         assert highest == max(r[4] for r in below)
         assert np.allclose(region, region_of(scheme, zoom, row, col), rtol=0, atol=1e-9)
@@ -322,6 +323,16 @@ def test_begins_at_the_deepest_tile_that_holds_all():
     assert len(root["children"]) == 2
     bounds = SCHEMES["geographic"].bounds(8, 50, 20)
     assert np.allclose(root["boundingVolume"]["region"][:4], np.radians(bounds))
+
+
+def test_boxes_are_opened_where_the_tile_above_would_be():
+    records = [(2, 0, 0, 0.0, 1.0), (4, 0, 0, 0.0, 1.0), (4, 3, 3, 0.0, 1.0)]
+    files, _ = tree_of(records, {2: 40.0, 3: 20.0, 4: 10.0})
+    root = json.loads(files["tileset.json"])["root"]
+    boxes = root["children"]
+    assert root["geometricError"] == 40.0
+    assert [box["geometricError"] for box in boxes] == [40.0, 40.0]
+    assert [box["children"][0]["geometricError"] for box in boxes] == [10.0, 10.0]
 
 
 def test_wants_a_tile():

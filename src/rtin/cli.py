@@ -43,6 +43,7 @@ _USUAL = {"norm": "max", "diagonals": "lattice", "heights": "sampled"}  # not wo
 _MOST_TAGS = 20  # shown
 _FEW_TILES = 1000  # are made sooner than other processes are started
 _GDALS_SHARE = 8  # of the memory for tiles: an eighth
+_GDALS_MEGABYTES = "256"  # of blocks kept, where tiles are made: a twentieth of the memory is usual
 
 app = typer.Typer(
     help="Adaptive triangle meshes from elevation rasters, with a guaranteed vertical error.",
@@ -562,6 +563,7 @@ def tiles(
     )  # fmt: skip
     with _one_line_errors():
         started = time.perf_counter()
+        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)  # for worker processes, too
         with _progress(f"looking at {_listed(dems)}"):
             job = job_of()
         for note in job.notes:
@@ -704,6 +706,7 @@ def serve(
             return
         from rtin.io.live_tiles import LiveTiles
 
+        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)
         job = _tile_job(
             paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
             cells=cells, band=band, encoding=encoding,

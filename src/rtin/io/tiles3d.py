@@ -4,8 +4,7 @@ Tiles lie at ``{z}/{x}/{y}.glb``, x from the west and y from the north. The tile
 tile's own smallest and largest height bound it, and the tiles of Mercator, which a quadtree of
 regions has no room for, are bounded as truly as those of degrees. So that no file grows with the
 terrain, four zooms share one: deeper ones go on in ``{z}/{x}/{y}.json``, an external tileset that
-lies beside its root's GLB. The zooms are shared out from the finest one on, so that nearly all
-files are full ones.
+lies beside its root's GLB.
 """
 
 from __future__ import annotations
@@ -305,11 +304,6 @@ class _Writer:
     scheme: Scheme
     bounds: list[float]  # in radians
 
-    @property
-    def first_zooms(self) -> range:
-        """Zooms where external tilesets begin, unless tileset.json does so further down."""
-        return range(max(self.levels) - _ZOOMS_IN_FILE, 0, -_ZOOMS_IN_FILE)
-
     def files(self) -> Iterator[tuple[str, bytes]]:
         """Yield tileset.json, then the external tilesets from coarse to fine."""
         first_drawn = min(zoom for zoom, level in self.levels.items() if level.is_drawn.any())
@@ -317,7 +311,7 @@ class _Writer:
         top = min(max(alone, default=0), first_drawn)
         root = self._root(top)
         yield "tileset.json", _document(root, max(self._side(top), root["geometricError"]))
-        for zoom in sorted(zoom for zoom in self.first_zooms if zoom > top):
+        for zoom in filter(self._begins_file, range(top + 1, max(self.levels))):
             for number in np.flatnonzero(np.diff(self.levels[zoom].first_child)).tolist():
                 root = self._tile(zoom, number, zoom, "../../")
                 yield f"{self._stem(zoom, number)}.json", _document(root, root["geometricError"])
@@ -344,7 +338,7 @@ class _Writer:
             "boundingVolume": {"region": self._region(zoom, number)},
             "geometricError": self._error(zoom, is_drawn=is_drawn),
         }
-        if first < end and zoom > first_zoom and zoom in self.first_zooms:
+        if first < end and zoom > first_zoom and self._begins_file(zoom):
             tile["content"] = {"uri": f"{up}{self._stem(zoom, number)}.json"}
             return tile
         if is_drawn:
@@ -353,6 +347,13 @@ class _Writer:
             children = range(first, end)
             tile["children"] = [self._tile(zoom + 1, child, first_zoom, up) for child in children]
         return tile
+
+    def _begins_file(self, zoom: int) -> bool:
+        """Return whether tiles of a zoom are roots of files, counted from the finest zoom.
+
+        So the many files there, which have its tiles besides, are full.
+        """
+        return (max(self.levels) - zoom) % _ZOOMS_IN_FILE == 0
 
     def _error(self, zoom: int, *, is_drawn: bool) -> float:
         return self.tolerances.get(zoom if is_drawn else zoom - 1, self._side(zoom))
