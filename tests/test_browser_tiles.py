@@ -6,8 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from affine import Affine
+from pyproj import Transformer
 
-from rtin import serve
+import rtin
+from rtin import samples, serve
+from rtin.schemes import SCHEMES
 from test_html_page import CHROMIUM, FLAGS, pixels
 from test_serve import serving
 from tilesets import write_fault
@@ -158,6 +162,60 @@ def sample(page, lon, lat):
     places = json.dumps(np.column_stack([lon, lat]).tolist())
     return page.evaluate(
         f"""Cesium.sampleTerrainMostDetailed(shown,
+            {places}.map(([lon, lat]) => Cesium.Cartographic.fromDegrees(lon, lat)))
+            .then((found) => found.map((place) => place.height))"""
+    )
+
+
+@needs_cesium
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_cesium_draws_3d_tiles_and_stands_on_them(browser, tmp_path, scheme):
+    grid, zoom, max_error = samples.jacksboro_fault(), {"geographic": 12, "mercator": 13}, 8.0
+    write_raster(tmp_path / "fault.tif", grid)
+    job = rtin.world_tiles(
+        [tmp_path / "fault.tif"], "3dtiles", scheme=scheme, zoom=(6, zoom[scheme]),
+        max_error=[max_error],
+    )  # fmt: skip
+    job.write(tmp_path / "tiles")
+    a, _, c, _, e, f = SCHEMES[scheme].transform(zoom[scheme], job.plan.cells)[:6]
+    to_lonlat = Transformer.from_crs(SCHEMES[scheme].crs, "EPSG:4326", always_xy=True)
+    to_xy = Transformer.from_crs("EPSG:4326", SCHEMES[scheme].crs, always_xy=True)
+    x, y = to_xy.transform(CENTRE[0] + np.linspace(-0.1, 0.1, 9), np.linspace(36.51, 36.68, 9))
+    lon, lat = to_lonlat.transform(c + a * np.rint((x - c) / a), f + e * np.rint((y - f) / e))
+    with serving(serve.FolderStore(tmp_path / "tiles"), cesium=CESIUM) as port:
+        visit = Visit(browser, port, "cesium.html")
+        visit.until("document.body.dataset.state === 'ready'")
+        visit.page.evaluate("shown.maximumScreenSpaceError = 0.2")
+        visit.page.wait_for_timeout(2500)  # it flies there
+        visit.until("shown.tilesLoaded")
+        seen = canvas_pixels(visit.page)
+        stood_on = sample_tiles(visit.page, lon, lat)
+        visit.page.close()
+    visit.assert_clean()
+    sky, ground = seen[:60].mean(), seen[180:280, 180:320]
+    assert ground.mean() > sky + 60
+    assert ground.mean(axis=2).std() > 6
+    # What is sampled is the picture's depth, not the mesh itself.
+    wanted = grid.heights_at(np.column_stack([lon, lat]))
+    np.testing.assert_allclose(stood_on, wanted, rtol=0, atol=max_error + 0.5)
+
+
+def write_raster(path, grid):
+    import rasterio
+
+    profile = {"driver": "GTiff", "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    rows, cols = grid.shape
+    a, _, c, _, e, f = grid.transform[:6]
+    corner = Affine(a, 0.0, c - a / 2.0, 0.0, e, f - e / 2.0)
+    with rasterio.open(path, "w", height=rows, width=cols, transform=corner, **profile) as file:
+        file.write(grid.heights, 1)
+
+
+def sample_tiles(page, lon, lat):
+    """The heights that CesiumJS finds in the finest 3D Tiles."""
+    places = json.dumps(np.column_stack([lon, lat]).tolist())
+    return page.evaluate(
+        f"""widget.scene.sampleHeightMostDetailed(
             {places}.map(([lon, lat]) => Cesium.Cartographic.fromDegrees(lon, lat)))
             .then((found) => found.map((place) => place.height))"""
     )

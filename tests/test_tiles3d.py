@@ -247,12 +247,17 @@ def test_a_reader_finds_every_tile_of_any_set(case):
         *region, lowest, highest = tile["boundingVolume"]["region"]
         assert lowest == min(r[3] for r in below)
         assert highest == max(r[4] for r in below)
-        west, south, east, north = SCHEMES[scheme].bounds(zoom, row, col)
-        if scheme == "mercator":
-            to_degrees = Transformer.from_crs(3857, 4326, always_xy=True)
-            (west, east), (south, north) = to_degrees.transform([west, east], [south, north])
-            west, east = -180.0 if col == 0 else west, 180.0 if col + 1 == 1 << zoom else east
-        assert np.allclose(region, np.radians([west, south, east, north]), rtol=0, atol=1e-9)
+        assert np.allclose(region, region_of(scheme, zoom, row, col), rtol=0, atol=1e-9)
+
+
+def region_of(scheme, zoom, row, col):
+    """West, south, east and north of a tile in radians, by pyproj."""
+    west, south, east, north = SCHEMES[scheme].bounds(zoom, row, col)
+    if scheme == "mercator":
+        to_degrees = Transformer.from_crs(3857, 4326, always_xy=True)
+        (west, east), (south, north) = to_degrees.transform([west, east], [south, north])
+        west, east = -180.0 if col == 0 else west, 180.0 if col + 1 == 1 << zoom else east
+    return np.radians([west, south, east, north])
 
 
 def test_files_do_not_depend_on_the_order_of_the_tiles():
@@ -270,6 +275,33 @@ def test_no_file_grows_with_the_terrain():
         return max(map(len, files.values()))
 
     assert largest(8) < 1.2 * largest(4) < 120_000
+
+
+@pytest.mark.parametrize("last", [4, 5, 6, 7, 8])
+def test_files_are_few(last):
+    records = [(zoom, row, col, 0.0, 1.0) for zoom in range(last + 1)
+               for row in range(1 << zoom) for col in range(2 << zoom)]  # fmt: skip
+    files, _ = tree_of(records, {zoom: 2.0**-zoom for zoom in range(last + 1)})
+    assert len(files) < len(records) / 250
+
+
+@pytest.mark.parametrize(
+    ("scheme", "places"),
+    [("geographic", [(2, 0, 1), (4, 3, 4)]), ("mercator", [(3, 2, 1), (5, 10, 4)])],
+)
+def test_what_is_beyond_the_bounds_of_all_heights_is_in_no_region(scheme, places):
+    records = [(*place, 0.0, 1.0) for place in places]
+    tolerances = dict.fromkeys(range(6), 9.0)
+    bounds = (-130.0, 47.0, -119.0, 51.0)
+    files = dict(tileset_files(records, tolerances, SCHEMES[scheme], bounds))
+    root = json.loads(files["tileset.json"])["root"]
+    assert np.allclose(root["boundingVolume"]["region"][:4], np.radians(bounds))
+    paths = {f"{zoom}/{col}/{row}.glb" for zoom, row, col, _, _ in records}
+    for path, tile in tileset_reader.read(files, paths).items():
+        zoom, col, row = map(int, path.removesuffix(".glb").split("/"))
+        whole = region_of(scheme, zoom, row, col)
+        low, high = np.radians(bounds[:2] * 2), np.radians(bounds[2:] * 2)
+        assert np.allclose(tile["boundingVolume"]["region"][:4], np.clip(whole, low, high))
 
 
 def test_both_roots_are_under_one_box():
@@ -330,8 +362,9 @@ def folder_of(path, place=("geographic", 12, 1000, 2000)):
     return output
 
 
-def test_regions_hold_the_tiles_and_their_skirts(tmp_path):
-    folder_of(tmp_path)
+@pytest.mark.parametrize("place", [("geographic", 12, 1000, 2000), ("mercator", 4, 6, 8)])
+def test_regions_hold_the_tiles_and_their_skirts(tmp_path, place):
+    output = folder_of(tmp_path, place)
     files = {"tileset.json": (tmp_path / "tileset.json").read_bytes()}
     paths = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.glb")}
     assert len(paths) == 5
@@ -340,13 +373,13 @@ def test_regions_hold_the_tiles_and_their_skirts(tmp_path):
         world = glb_decoder.decode((tmp_path / path).read_bytes()).world
         lon, lat, height = to_degrees.transform(*world.T)
         west, south, east, north, low, high = tile["boundingVolume"]["region"]
-        slack = 1e-3 / 6.4e6
+        slack = 2.0 * output.rounding(int(path.split("/")[0]), 300.0) / 6.3e6
         assert np.radians(lon).min() >= west - slack
         assert np.radians(lon).max() <= east + slack
         assert np.radians(lat).min() >= south - slack
         assert np.radians(lat).max() <= north + slack
-        assert height.min() >= low - 1e-3
-        assert height.max() <= high + 1e-3
+        assert low <= height.min()
+        assert height.max() <= high
 
 
 def test_rounding_is_what_positions_may_be_moved_by():

@@ -302,7 +302,8 @@ def _format(kind: str, scheme: str, plan: Plan, normals: bool, about: dict[str, 
         return QuantizedMesh(scheme, normals, about, _bounds(plan, scheme))
     from rtin.io.tiles3d import Tiles3D
 
-    return Tiles3D(scheme, plan.cells, plan.tolerances)
+    bounds = _bounds(plan, scheme) if plan.fill is None else None
+    return Tiles3D(scheme, plan.cells, plan.tolerances, bounds)
 
 
 def _bounds(plan: Plan, scheme: str) -> tuple[float, float, float, float]:

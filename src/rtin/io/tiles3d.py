@@ -32,10 +32,11 @@ _FLOAT32_STEPS = 2**24  # whole numbers up to this have a float32
 _MOST_SHORT = 65535  # vertices whose indices take two bytes; the last index has a meaning
 _ZOOMS_IN_FILE = 4
 _MOST_BITS = 31  # of rows and columns of tiles
+_WORLD = (-180.0, -90.0, 180.0, 90.0)
 _ZOOMS_APART = 2  # of tiles side by side whose cracks a skirt hides
 
 _Tree = dict[str, Any]
-_Span = tuple[float, float]
+_Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,15 @@ class Tiles3D:
         Along a side of a tile.
     tolerances : dict of int to float
         Of each zoom, in metres: the geometric error of its tiles.
+    bounds : (float, float, float, float), optional
+        West, south, east and north of all heights, in degrees: viewers fly to what has terrain,
+        not to all of the largest tile. None where tiles are filled beyond the heights.
     """
 
     scheme: str
     cells: int
     tolerances: dict[int, float]
+    bounds: _Bounds | None = None
 
     def name(self, zoom: int, row: int, col: int) -> str:
         """Return a tile's path: zoom, column, and row from the north."""
@@ -88,11 +93,24 @@ class Tiles3D:
         self, records: Callable[[], Iterator[TileRecord]], tolerances: dict[int, float]
     ) -> Iterator[tuple[str, bytes]]:
         """Yield tileset.json and the external tilesets."""
+        above = self._moved(records())
+        below = {zoom: self.skirt(zoom) + moved for zoom, moved in above.items()}
         tiles = (
-            (tile.zoom, tile.row, tile.col, tile.low - self.skirt(tile.zoom), tile.high)
-            for tile in records()
+            (at.zoom, at.row, at.col, at.low - below[at.zoom], at.high + above[at.zoom])
+            for at in records()
         )
-        return tileset_files(tiles, tolerances, SCHEMES[self.scheme])
+        return tileset_files(tiles, tolerances, SCHEMES[self.scheme], self.bounds)
+
+    def _moved(self, records: Iterable[TileRecord]) -> dict[int, float]:
+        """Return how far positions may have been moved at each zoom."""
+        ranges: dict[int, float] = {}
+        for tile in records:
+            ranges[tile.zoom] = max(ranges.get(tile.zoom, 0.0), tile.high - tile.low)
+        # Nodes may lie above and below the highest and the lowest vertex, by the tolerance.
+        return {
+            zoom: self.rounding(zoom, span + 2.0 * self.tolerances[zoom])
+            for zoom, span in ranges.items()
+        }
 
     def _step(self, zoom: int, largest_range: float) -> float:
         return position_step(SCHEMES[self.scheme], zoom, largest_range + self.skirt(zoom))
@@ -247,6 +265,7 @@ def tileset_files(
     tiles: Iterable[tuple[int, int, int, float, float]],
     tolerances: dict[int, float],
     scheme: Scheme,
+    bounds: _Bounds | None = None,
 ) -> Iterator[tuple[str, bytes]]:
     """Yield path and content of tileset.json and of the external tilesets that it leads to.
 
@@ -264,6 +283,8 @@ def tileset_files(
     tolerances : dict of int to float
         Of each zoom, not growing with it.
     scheme : Scheme
+    bounds : (float, float, float, float), optional
+        West, south, east and north in degrees, beyond which no tile has anything.
 
     Raises
     ------
@@ -273,7 +294,7 @@ def tileset_files(
     levels = _levels(tiles)
     if not levels:
         raise ValueError("a tileset needs at least one tile, got none")
-    return _Writer(levels, tolerances, scheme).files()
+    return _Writer(levels, tolerances, scheme, np.radians(bounds or _WORLD).tolist()).files()
 
 
 @dataclass(frozen=True)
@@ -281,6 +302,7 @@ class _Writer:
     levels: dict[int, _Level]
     tolerances: dict[int, float]
     scheme: Scheme
+    bounds: list[float]  # in radians
 
     def files(self) -> Iterator[tuple[str, bytes]]:
         """Yield tileset.json, then the external tilesets from coarse to fine."""
@@ -352,13 +374,9 @@ class _Writer:
         else:
             west, south, east, north = map(radians, (west, south, east, north))
         heights = float(level.lows[number]), float(level.highs[number])
-        return [
-            max(west, -pi),
-            max(south, -pi / 2.0),
-            min(east, pi),
-            min(north, pi / 2.0),
-            *heights,
-        ]
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        corners = np.array([[west, south], [east, north]]).clip(low, high)
+        return [*corners.ravel().tolist(), *heights]
 
     def _stem(self, zoom: int, number: int) -> str:
         return _stem(zoom, *self.levels[zoom].place(number))

@@ -69,9 +69,12 @@ async function showTerrain(widget, layer) {
 }
 
 async function showModel(widget) {
-  const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`);
+  // By default CesiumJS draws 3D Tiles that are off by 16 pixels, and terrain by 2.
+  const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`, { maximumScreenSpaceError: 2 });
   widget.scene.primitives.add(tileset);
-  widget.scene.globe.show = false;
+  widget.scene.globe.show = widget.scene.skyAtmosphere.show = false;
+  const { rectangle } = tileset.root.boundingVolume;
+  if (rectangle) light(widget.scene, rectangle);
   flyTo(widget.camera, tileset.boundingSphere);
   element("name").textContent = "3D Tiles";
   return tileset;
@@ -97,8 +100,9 @@ if (typeof Cesium === "undefined") {
 } else {
   const widget = globe();
   listen(widget);
-  const response = await fetch("layer.json");
-  const shown = response.ok ? await showTerrain(widget, await response.json()) : await showModel(widget);
+  const get = async (name) => (await fetch(name)).json();
+  const { tiles } = await get("health"); // asking for a layer.json that is not there is an error on the console
+  const shown = tiles === "terrain" ? await showTerrain(widget, await get("layer.json")) : await showModel(widget);
   Object.assign(window, { widget, shown }); // for the console
   document.body.dataset.state = "ready";
 }

@@ -27,5 +27,5 @@ if (response.ok) {
     `viewer.terrainProvider = await Cesium.CesiumTerrainProvider.fromUrl(\n  "${base}",\n  { requestVertexNormals: true },\n);`;
 } else {
   document.getElementById("snippet").textContent =
-    `viewer.scene.primitives.add(\n  await Cesium.Cesium3DTileset.fromUrl("${base}tileset.json"),\n);`;
+    `viewer.scene.primitives.add(\n  await Cesium.Cesium3DTileset.fromUrl("${base}tileset.json", { maximumScreenSpaceError: 2 }),\n);`;
 }
