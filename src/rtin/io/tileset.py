@@ -42,7 +42,10 @@ class Format(Protocol):
         """Return the path of a tile in the folder; rows are counted from the north."""
 
     def encode(self, zoom: int, tile: Tile, largest_range: float) -> bytes:
-        """Return the tile's file; within a tile of the zoom, heights differ by that at most."""
+        """Return the tile's file; within a tile of the zoom, heights differ by that at most.
+
+        That range has a say through ``rounding`` only: tiles stay as they are while it stays.
+        """
 
     def rounding(self, zoom: int, largest_range: float) -> float:
         """Return how far the format may move a height."""
@@ -149,13 +152,13 @@ def write_tileset(
     tell = tell or (lambda _: None)
     state = _opened(folder, settings)
     with _locked(state), _table(state / "tiles.sqlite") as table:
-        _start(state, settings, sources, update=update)
+        _start(state, table, settings, sources, update=update)
         heard = shares(plan, lambda share: tell(_SETTLING_SHARE * share))
         levels = prepare(plan, state, executor=executor, tell=heard)
         levels = {zoom: level.with_tiles(output.roots(zoom)) for zoom, level in levels.items()}
         rasters = blake2b(json.dumps(sources).encode(), digest_size=8).digest()
-        n_made = _make_all(folder, table, levels, output, rasters, executor, tell)
-        n_removed = _remove_stale(folder, table, levels, output)
+        n_made, n_emptied = _make_all(folder, table, levels, output, rasters, executor, tell)
+        n_removed = n_emptied + _remove_stale(folder, table, levels, output)
         for name, content in output.index(partial(_drawn, table), plan.tolerances):
             _write(folder / name, content)
         _write_job(state, settings, sources, finished=True)
@@ -188,7 +191,14 @@ def _opened(folder: Path, settings: dict[str, Any]) -> Path:
     return state
 
 
-def _start(state: Path, settings: dict[str, Any], sources: dict[str, str], *, update: bool) -> None:
+def _start(
+    state: Path,
+    table: sqlite3.Connection,
+    settings: dict[str, Any],
+    sources: dict[str, str],
+    *,
+    update: bool,
+) -> None:
     """Note what is going to be made; drop what was derived from rasters as they no longer are."""
     job = _job(state)
     changed = job is not None and list(job["sources"].items()) != list(sources.items())
@@ -199,9 +209,12 @@ def _start(state: Path, settings: dict[str, Any], sources: dict[str, str], *, up
             f"{', '.join(names + gone) or 'the order of the rasters'} changed since {state.parent} "
             "was made; add --update to make the tiles that it touches anew"
         )
-    if changed:
+    if job is not None and changed:
         for path in (*state.glob("heights-*"), *state.glob("settled-*")):
             path.unlink()
+        if not job["finished"]:  # tiles may be newer than what is known of them
+            with table:
+                table.execute("UPDATE tiles SET key = x'', rasters = x''")
     for part in state.parent.rglob(".*.part*"):  # of a run that was killed
         part.unlink(missing_ok=True)
     is_finished = job is not None and job["finished"] and not changed
@@ -301,10 +314,10 @@ def _make_all(
     rasters: bytes,
     executor: Executor | None,
     tell: Callable[[float], object],
-) -> int:
-    """Make what is missing or no longer true; return how many tiles were written."""
+) -> tuple[int, int]:
+    """Make what is missing or no longer true; return how many files were written and removed."""
     n_all = sum(len(level.available) for level in levels.values())
-    n_done = n_made = 0
+    n_done = n_made = n_emptied = 0
     for level in reversed(levels.values()):
         before = {(record.row, record.col): record for record in _records(table, level.zoom)}
         todo = [
@@ -321,8 +334,14 @@ def _make_all(
         for records, n_written in _run(executor, _make_batch, batches):
             _insert(table, records)
             n_done, n_made = n_done + len(records), n_made + n_written
+            n_emptied += sum(_is_emptied(record, before) for record in records)
             tell(_SETTLING_SHARE + (1.0 - _SETTLING_SHARE) * n_done / n_all)
-    return n_made
+    return n_made, n_emptied
+
+
+def _is_emptied(record: TileRecord, before: dict[Place, TileRecord]) -> bool:
+    old = before.get((record.row, record.col))
+    return old is not None and old.n_bytes > 0 == record.n_bytes
 
 
 def _squares(places: Iterable[Place]) -> list[list[Place]]:
@@ -384,7 +403,9 @@ def _key(batch: _Batch, place: Place, heights: NDArray[np.floating[Any]]) -> byt
 
 def _is_in_place(folder: Path, output: Format, record: TileRecord) -> bool:
     path = folder / output.name(record.zoom, record.row, record.col)
-    return record.n_bytes == 0 or path.exists()
+    with suppress(FileNotFoundError):
+        return record.n_bytes in (0, path.stat().st_size)
+    return False
 
 
 def _store(
