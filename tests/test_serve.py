@@ -172,6 +172,7 @@ def test_health_tells_of_the_store_and_of_the_tiles_kept(port):
     ask(port, TILE)
     health = json.loads(ask(port, "health")[2])
     assert health["status"] == "ok"
+    assert health["terrain"] is True
     assert (health["store"], health["pending"], health["kept"]) == ("fake", 0, 1)
 
 
