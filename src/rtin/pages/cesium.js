@@ -73,13 +73,20 @@ async function showTerrain(widget, layer) {
   return provider;
 }
 
+/** The tiles of the first file that have none below: closer around the terrain than its root. */
+function lastTiles(tile) {
+  return tile.children.length ? tile.children.flatMap(lastTiles) : [tile];
+}
+
 async function showModel(widget) {
   const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`);
   widget.scene.primitives.add(tileset);
-  widget.scene.globe.show = false;
+  const sphere = Cesium.BoundingSphere.fromBoundingSpheres(lastTiles(tileset.root).map((tile) => tile.boundingSphere));
+  for (const part of [widget.scene.globe, widget.scene.skyAtmosphere, widget.scene.skyBox]) part.show = false;
+  widget.scene.backgroundColor = Cesium.Color.fromCssColorString("#e7eef3");
   tileset.loadProgress.addEventListener((requests, processing) => count(requests + processing));
-  light(widget.scene, Cesium.Rectangle.fromCartesianArray([tileset.boundingSphere.center]));
-  flyTo(widget.camera, tileset.boundingSphere);
+  light(widget.scene, Cesium.Rectangle.fromCartesianArray([sphere.center]));
+  flyTo(widget.camera, sphere);
   element("name").textContent = "3D Tiles";
   return tileset;
 }
