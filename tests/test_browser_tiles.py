@@ -2,6 +2,7 @@
 
 import json
 import os
+from math import pi, radians, sin
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,18 @@ from affine import Affine
 from pyproj import Transformer
 
 import rtin
+from islands import write_island
 from rtin import samples, serve
-from rtin.schemes import SCHEMES
+from rtin.io.live_tiles import LiveTiles
+from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES
 from test_html_page import CHROMIUM, FLAGS, pixels
 from test_serve import serving
-from tilesets import write_fault
 
 CESIUM = Path(os.environ.get("RTIN_CESIUM", Path(__file__).parent))
-CENTRE = (-84.25, 36.59)
 WAIT = 60_000  # milliseconds until something has gone wrong
+LARGEST = 32767  # u and v of quantized-mesh are 0 to this
+NORTH = 36.6
+CENTRE = (-84.25, 36.59)  # of the Jacksboro fault
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 needs_cesium = pytest.mark.skipif(
@@ -26,11 +30,32 @@ needs_cesium = pytest.mark.skipif(
 )
 
 
+class Tilesets:
+    """Jobs of the island, and what serves their tiles; each is made once."""
+
+    def __init__(self, folder):
+        self.folder, self.made = folder, {}
+
+    def get(self, kind="terrain", scheme="geographic", west=-84.3, live=False):
+        key = f"{kind}-{scheme}{west}-{live}"
+        if key not in self.made:
+            raster = write_island(self.folder / f"{key}.tif", west, NORTH)
+            about = {"name": "Island", "attribution": "Nobody's island"}
+            job = rtin.world_tiles([raster], kind, scheme=scheme, max_error=[4.0], about=about)
+            self.made[key] = job, self._store(job, self.folder / key, live)
+        return self.made[key]
+
+    def _store(self, job, folder, live):
+        if live:
+            folder.mkdir()
+            return LiveTiles(job, folder)
+        job.write(folder)
+        return serve.FolderStore(folder)
+
+
 @pytest.fixture(scope="module")
-def terrain(tmp_path_factory):
-    """A folder of tiles, the heights they are of, and how far they may be off."""
-    folder = tmp_path_factory.mktemp("terrain")
-    return folder, *write_fault(folder)
+def tilesets(tmp_path_factory):
+    return Tilesets(tmp_path_factory.mktemp("tilesets"))
 
 
 class Visit:
@@ -38,7 +63,7 @@ class Visit:
 
     def __init__(self, browser, port, path):
         self.complaints, self.asked = [], []
-        self.page = browser.new_page(viewport={"width": 500, "height": 400})
+        self.page = browser.new_page(viewport={"width": 400, "height": 300})
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("console", self._hear)
         self.page.on("request", lambda request: self.asked.append(request.url))
@@ -77,10 +102,17 @@ def detail(picture):
     return picture[picture.shape[0] // 2 :].mean(axis=2).std()
 
 
-def test_the_viewer_draws_the_terrain_with_nothing_from_outside(browser, terrain):
-    with serving(serve.FolderStore(terrain[0])) as port:
-        visit = Visit(browser, port, "viewer.html")
-        visit.until("document.body.dataset.state === 'ready' && document.body.dataset.tiles > 8")
+def open_viewer(browser, port):
+    visit = Visit(browser, port, "viewer.html")
+    visit.until("document.body.dataset.state === 'ready' && document.body.dataset.tiles > 8")
+    return visit
+
+
+@pytest.mark.parametrize(("scheme", "live"), [("geographic", False), ("mercator", True)])
+def test_the_viewer_draws_the_terrain_with_nothing_from_outside(browser, tilesets, scheme, live):
+    _, store = tilesets.get(scheme=scheme, live=live)
+    with serving(store) as port:
+        visit = open_viewer(browser, port)
         visit.page.wait_for_timeout(300)
         shown = pixels(visit.page)
         visit.page.check("#wireframe")
@@ -92,18 +124,19 @@ def test_the_viewer_draws_the_terrain_with_nothing_from_outside(browser, terrain
     assert detail(shown) > 12
     assert np.mean(np.any(shown != wireframe, axis=2)) > 0.1
     assert "triangles" in counts
-    assert credit == "Sample data of matplotlib"
+    assert credit == "Nobody's island"
 
 
-def test_the_viewer_loads_finer_tiles_when_it_comes_near(browser, terrain):
-    with serving(serve.FolderStore(terrain[0])) as port:
-        visit = Visit(browser, port, "viewer.html")
-        visit.until("document.body.dataset.state === 'ready' && document.body.dataset.tiles > 8")
-        assert not any("/13/" in url for url in visit.asked)
-        visit.page.mouse.move(400, 300)  # beside the panel
+def test_the_viewer_loads_finer_tiles_when_it_comes_near(browser, tilesets):
+    job, store = tilesets.get()
+    last = max(job.plan.tolerances)
+    with serving(store) as port:
+        visit = open_viewer(browser, port)
+        assert not any(f"/{last}/" in url for url in visit.asked)
+        visit.page.mouse.move(320, 220)  # beside the panel
         for _ in range(3):
             visit.page.mouse.wheel(0, -600)
-        visit.until("document.getElementById('counts').textContent.includes('to 13')")
+        visit.until(f"document.getElementById('counts').textContent.includes('to {last}')")
         visit.page.close()
     visit.assert_clean()
 
@@ -117,29 +150,33 @@ def test_the_viewer_says_what_it_lacks(browser, tmp_path):
         visit.page.close()
 
 
-def test_without_cesium_its_page_says_how_to_get_it(browser, terrain, tmp_path, monkeypatch):
+def test_without_cesium_its_page_says_how_to_get_it(browser, tilesets, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with serving(serve.FolderStore(terrain[0])) as port:
+    with serving(tilesets.get()[1]) as port:
         visit = Visit(browser, port, "cesium.html")
         visit.page.wait_for_selector("#message:visible")
         assert "npm install cesium" in visit.page.inner_text("#message")
         visit.page.close()
 
 
+# --- CesiumJS -----------------------------------------------------------------------------------
+
+
+def open_cesium(browser, port):
+    visit = Visit(browser, port, "cesium.html")
+    visit.until("document.body.dataset.state === 'ready'")
+    return visit
+
+
 @needs_cesium
-def test_cesium_renders_the_terrain_and_reads_its_heights(browser, terrain):
-    folder, heights_at, tolerance = terrain
-    with serving(serve.FolderStore(folder), cesium=CESIUM) as port:
-        visit = Visit(browser, port, "cesium.html")
-        visit.until("document.body.dataset.state === 'ready'")
-        visit.page.wait_for_timeout(2500)  # it flies there
+def test_cesium_renders_the_terrain(browser, tilesets):
+    with serving(tilesets.get()[1], cesium=CESIUM) as port:
+        visit = open_cesium(browser, port)
+        visit.page.wait_for_timeout(2000)  # it flies there
         visit.until("widget.scene.globe.tilesLoaded")
         shown = canvas_pixels(visit.page)
-        lon = np.linspace(CENTRE[0] - 0.1, CENTRE[0] + 0.1, 23)
-        lat = np.linspace(CENTRE[1] - 0.08, CENTRE[1] + 0.09, 23)
-        sampled = sample(visit.page, lon, lat)
         visit.page.evaluate("widget.terrainProvider = new Cesium.EllipsoidTerrainProvider()")
-        visit.page.wait_for_timeout(1000)
+        visit.page.wait_for_timeout(500)
         visit.until("widget.scene.globe.tilesLoaded")
         bare = canvas_pixels(visit.page)
         visit.page.close()
@@ -147,7 +184,73 @@ def test_cesium_renders_the_terrain_and_reads_its_heights(browser, terrain):
     assert detail(shown) > 12
     assert detail(bare) < 6
     assert np.mean(np.abs(shown - bare).max(axis=2) > 20) > 0.1
-    np.testing.assert_allclose(sampled, heights_at(lon, lat), rtol=0, atol=tolerance)
+
+
+@needs_cesium
+@pytest.mark.parametrize(
+    ("scheme", "west", "live"),
+    [("geographic", -84.3, False), ("mercator", -84.3, True), ("geographic", 179.91, True)],
+    ids=["geographic", "mercator", "across the antimeridian"],
+)
+def test_cesium_reads_the_heights_of_the_raster(browser, tilesets, scheme, west, live):
+    job, store = tilesets.get(scheme=scheme, west=west, live=live)
+    lon, lat, heights = some_nodes(job)
+    with serving(store, cesium=CESIUM) as port:
+        visit = open_cesium(browser, port)
+        sampled = sample(visit.page, lon, lat)
+        visit.page.close()
+    visit.assert_clean()
+    assert np.ptp(heights) > 300
+    tolerance = job.plan.tolerances[max(job.plan.tolerances)]
+    allowed = tolerance + of_rounding_places(job)
+    np.testing.assert_allclose(sampled, heights, rtol=0, atol=allowed)
+
+
+def some_nodes(job, count=400):
+    """Longitude, latitude and height of nodes of the finest zoom: of these rtin promises."""
+    lattice, rng = job.plan.lattice, np.random.default_rng(1)
+    rows, cols = (rng.integers(*span, count) for span in (lattice.rows, lattice.cols))
+    heights = lattice.read(lattice.rows, lattice.cols)
+    x = lattice.transform.c + lattice.transform.a * (cols % lattice.period)
+    y = lattice.transform.f + lattice.transform.e * rows
+    if SCHEMES[job.output.scheme].crs == "EPSG:3857":
+        x, y = x / EQUATORIAL_RADIUS, np.arctan(np.sinh(y / EQUATORIAL_RADIUS))
+        x, y = np.degrees(x), np.degrees(y)
+    return x, y, heights[rows - lattice.rows[0], cols - lattice.cols[0]]
+
+
+def of_rounding_places(job):
+    """Metres by which a height may change since u and v are whole numbers, and by Mercator.
+
+    Places are off by half a step of u and of v; in Mercator, where v goes by latitude and the
+    lattice by y, also by how far the one is from linear in the other within a tile. A triangle's
+    slope along an axis is at most twice the largest step between two nodes.
+    """
+    lattice, cells = job.plan.lattice, job.plan.cells
+    heights = lattice.read(lattice.rows, lattice.cols)
+    steepest = 2 * max(np.abs(np.diff(heights, axis=axis)).max() for axis in (0, 1))
+    off = 2 * 0.5 * cells / LARGEST
+    if job.output.scheme == "mercator":
+        off += cells * 2 * pi / 2 ** max(job.plan.tolerances) / 8 * sin(radians(NORTH))
+    return steepest * off
+
+
+@needs_cesium
+def test_cesium_renders_3d_tiles(browser, tilesets):
+    with serving(tilesets.get("3dtiles")[1], cesium=CESIUM) as port:
+        visit = open_cesium(browser, port)
+        visit.page.wait_for_timeout(2000)  # it flies there
+        visit.until("shown.tilesLoaded")
+        counts = visit.page.inner_text("#counts")
+        shown = canvas_pixels(visit.page)
+        visit.page.evaluate("shown.show = false")
+        visit.page.wait_for_timeout(500)
+        empty = canvas_pixels(visit.page)
+        visit.page.close()
+    visit.assert_clean()
+    assert counts == "all tiles in sight are loaded"
+    assert detail(shown) > 12
+    assert np.mean(np.abs(shown - empty).max(axis=2) > 20) > 0.1
 
 
 def canvas_pixels(page):

@@ -407,8 +407,8 @@ class _Tiles:
         return self._respond(request, _answer_of(lambda: body), "application/json")
 
     async def health(self, _: Request) -> Response:
-        kind = "terrain" if self._tiles.layer else "3dtiles"
-        states = {"status": "ok", "tiles": kind, **self._tiles.health(), **self._workshop.health()}
+        terrain = {"terrain": bool(self._tiles.layer)}
+        states = {"status": "ok", **terrain, **self._tiles.health(), **self._workshop.health()}
         return JSONResponse(states, headers={"cache-control": "no-store"})
 
     async def terrain(self, request: Request) -> Response:

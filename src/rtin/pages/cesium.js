@@ -34,10 +34,15 @@ function ramp() {
 async function heightRange(provider, rectangle, maxzoom) {
   const zoom = Math.max(0, Math.min(maxzoom, Math.floor(Math.log2(Math.PI / Math.max(rectangle.width, rectangle.height))) + 2));
   const places = [];
-  for (let i = 1; i < 16; i++) for (let j = 1; j < 16; j++) {
-    places.push(new Cesium.Cartographic(rectangle.west + (rectangle.width * i) / 16, rectangle.south + (rectangle.height * j) / 16));
+  // Seventeenths of the world are on no border between tiles, where availability counts both.
+  for (let i = 1; i < 17; i++) for (let j = 1; j < 17; j++) {
+    places.push(new Cesium.Cartographic(rectangle.west + (rectangle.width * i) / 17, rectangle.south + (rectangle.height * j) / 17));
   }
-  const heights = (await Cesium.sampleTerrain(provider, zoom, places)).map((place) => place.height ?? 0);
+  // Around the terrain there may be coarser tiles only.
+  const level = (place) => Math.min(zoom, provider.availability?.computeMaximumLevelAtPosition(place) ?? zoom);
+  const levels = Map.groupBy(places, level);
+  await Promise.all([...levels].map(([each, those]) => Cesium.sampleTerrain(provider, each, those)));
+  const heights = places.map((place) => place.height ?? 0);
   return [Math.min(...heights), Math.max(...heights, Math.min(...heights) + 1)];
 }
 
@@ -68,16 +73,28 @@ async function showTerrain(widget, layer) {
   return provider;
 }
 
+/** The tiles of the first file that have none below: closer around the terrain than its root. */
+function lastTiles(tile) {
+  return tile.children.length ? tile.children.flatMap(lastTiles) : [tile];
+}
+
 async function showModel(widget) {
   // By default CesiumJS draws 3D Tiles that are off by 16 pixels, and terrain by 2.
   const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`, { maximumScreenSpaceError: 2 });
   widget.scene.primitives.add(tileset);
-  widget.scene.globe.show = widget.scene.skyAtmosphere.show = false;
-  const { rectangle } = tileset.root.boundingVolume;
-  if (rectangle) light(widget.scene, rectangle);
-  flyTo(widget.camera, tileset.boundingSphere);
+  const sphere = Cesium.BoundingSphere.fromBoundingSpheres(lastTiles(tileset.root).map((tile) => tile.boundingSphere));
+  for (const part of [widget.scene.globe, widget.scene.skyAtmosphere, widget.scene.skyBox]) part.show = false;
+  widget.scene.backgroundColor = Cesium.Color.fromCssColorString("#e7eef3");
+  tileset.loadProgress.addEventListener((requests, processing) => count(requests + processing));
+  light(widget.scene, Cesium.Rectangle.fromCartesianArray([sphere.center]));
+  flyTo(widget.camera, sphere);
   element("name").textContent = "3D Tiles";
   return tileset;
+}
+
+function count(left) {
+  element("counts").textContent = left ? `${left} tiles to load` : "all tiles in sight are loaded";
+  document.body.dataset.left = left;
 }
 
 function listen(widget) {
@@ -89,10 +106,7 @@ function listen(widget) {
     // CesiumJS has no public way; its own inspector does this too.
     widget.scene.globe._surface.tileProvider._debug.wireframe = target.checked;
   });
-  widget.scene.globe.tileLoadProgressEvent.addEventListener((left) => {
-    element("counts").textContent = left ? `${left} tiles to load` : "all tiles in sight are loaded";
-    document.body.dataset.left = left;
-  });
+  widget.scene.globe.tileLoadProgressEvent.addEventListener(count);
 }
 
 if (typeof Cesium === "undefined") {
@@ -100,9 +114,8 @@ if (typeof Cesium === "undefined") {
 } else {
   const widget = globe();
   listen(widget);
-  const get = async (name) => (await fetch(name)).json();
-  const { tiles } = await get("health"); // asking for a layer.json that is not there is an error on the console
-  const shown = tiles === "terrain" ? await showTerrain(widget, await get("layer.json")) : await showModel(widget);
+  const { terrain } = await (await fetch("health")).json();
+  const shown = terrain ? await showTerrain(widget, await (await fetch("layer.json")).json()) : await showModel(widget);
   Object.assign(window, { widget, shown }); // for the console
   document.body.dataset.state = "ready";
 }

@@ -14,9 +14,9 @@ function degrees([west, south, east, north]) {
   return `${side(west, "E", "W")} to ${side(east, "E", "W")}, ${side(south, "N", "S")} to ${side(north, "N", "S")}`;
 }
 
-const response = await fetch("layer.json");
-if (response.ok) {
-  const layer = await response.json();
+const { terrain } = await (await fetch("health")).json();
+if (terrain) {
+  const layer = await (await fetch("layer.json")).json();
   if (layer.name) document.getElementById("name").textContent = layer.name;
   if (layer.description) document.getElementById("about").textContent = layer.description;
   if (layer.bounds) fact("Bounds", degrees(layer.bounds));
