@@ -221,9 +221,10 @@ def test_a_utm_raster_lies_on_both_sides_of_the_antimeridian(tmp_path):
     assert (np.isnan(found) != np.isnan(wanted)).sum() <= 4
 
 
+@pytest.mark.parametrize("cell", [0.01, 0.0097])  # 0.0097 degrees do not divide the world
 @pytest.mark.parametrize("cut", [20, 1])
-def test_abutting_rasters_are_one(tmp_path, cut):
-    heights, place = rough(30, 40), Affine(0.01, 0, 11.003, 0, -0.01, 46.001)
+def test_abutting_rasters_are_one(tmp_path, cut, cell):
+    heights, place = rough(30, 40), Affine(cell, 0, 11.003, 0, -cell, 46.001)
     one = write(tmp_path / "one.tif", heights, place)
     west = write(tmp_path / "west.tif", heights[:, :cut], place)
     east = write(tmp_path / "east.tif", heights[:, cut:], moved_cells(place, cut, 0))
@@ -246,6 +247,33 @@ def test_the_first_of_two_rasters_counts_and_the_next_fills_its_voids(tmp_path):
     alone = WebLattice([a], GEOGRAPHIC, 9, 64).read(*whole(lattice))
     assert set(np.unique(found[np.isfinite(found)])) == {1.0, 2.0, 3.0}
     assert_array_equal(found[np.isfinite(alone)], 1.0)
+
+
+def test_rasters_around_the_world_from_each_other_are_two_where_cells_do_not_divide_it(tmp_path):
+    place = Affine(1.93, 0, -170.0, 0, -1.93, 10.0)
+    paths = [
+        write(tmp_path / f"{col}.tif", rough(9, 12, col), moved_cells(place, col, 0))
+        for col in (0, 165)
+    ]
+    lattice = WebLattice(paths, GEOGRAPHIC, 2, 64)
+    for path in paths:
+        alone = WebLattice([path], GEOGRAPHIC, 2, 64)
+        window = alone.rows, alone.cols
+        assert_array_equal(lattice.read(*window), alone.read(*window))
+
+
+@pytest.mark.parametrize("shape", [(1, 12), (12, 1), (1, 1)])
+def test_a_single_row_or_column_reaches_to_the_edges_of_its_cells(tmp_path, shape):
+    spacing = GEOGRAPHIC.spacing(5, 64)
+    heights = rough(*shape)
+    place = Affine(4 * spacing, 0, spacing * 98, 0, -4 * spacing, spacing * 52)
+    path = write(tmp_path / "dem.tif", heights, place)
+    lattice = WebLattice([path], GEOGRAPHIC, 5, 64)
+    found = lattice.read(lattice.rows, lattice.cols)
+    assert found.shape == (4 * shape[0] + 1, 4 * shape[1] + 1)
+    for row, col in np.ndindex(found.shape):
+        wanted = bilinear(heights, row / 4 - 0.5, col / 4 - 0.5)
+        assert found[row, col] == pytest.approx(wanted, rel=1e-6)
 
 
 def test_an_l_of_rasters_has_no_hole_at_its_inner_corner(tmp_path):
@@ -319,6 +347,15 @@ def test_the_geoids_height_is_added(tmp_path, monkeypatch):
     np.testing.assert_allclose(raised.read(rows, cols), wanted, atol=1e-3)
 
 
+def test_heights_above_the_ellipsoid_get_no_geoid(tmp_path):
+    place = Affine(0.01, 0, 11, 0, -0.01, 46)
+    path = write(tmp_path / "dem.tif", rough(9, 9), place, pyproj.CRS("EPSG:4979").to_wkt())
+    plain = WebLattice([path], GEOGRAPHIC, 9, 64)
+    raised = WebLattice([path], GEOGRAPHIC, 9, 64, geoid="egm2008")
+    window = plain.rows, plain.cols
+    assert_array_equal(raised.read(*window), plain.read(*window))
+
+
 def test_a_raster_without_crs_is_refused(tmp_path):
     path = write(tmp_path / "dem.tif", rough(9, 9), Affine(1, 0, 5, 0, -1, 5), None)
     with pytest.raises(ValueError, match=r"dem\.tif has no CRS; "):
@@ -332,6 +369,41 @@ def test_a_raster_of_the_moon_is_refused(tmp_path):
     path = write(tmp_path / "moon.tif", rough(9, 9), Affine(1, 0, 5, 0, -1, 5), lunar)
     with pytest.raises(ValueError, match="a CRS on Earth is wanted"):
         WebLattice([path], GEOGRAPHIC, 2, 64)
+
+
+@pytest.mark.parametrize(
+    ("place", "crs"),
+    [
+        (Affine(30, 0, 4e5, 0, -30, 5e6), "EPSG:4326"),  # metres taken for degrees
+        (Affine(900, 0, 4e9, 0, -900, 5e12), "EPSG:32632"),
+    ],
+)
+def test_a_raster_nowhere_on_earth_is_named_with_its_crs(tmp_path, place, crs):
+    path = write(tmp_path / "dem.tif", rough(9, 9), place, crs)
+    name = pyproj.CRS(crs).name
+    for make in (
+        lambda: WebLattice([path], GEOGRAPHIC, 9, 64),
+        lambda: native_zoom([path], MERCATOR, 64),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"dem\.tif lies nowhere .* {name}; give it"
+        ) as raised:
+            make()
+        assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("north", [89.0, -87.0])
+def test_a_raster_beyond_the_scheme_is_refused(tmp_path, north):
+    path = write(tmp_path / "dem.tif", rough(9, 9), Affine(0.1, 0, 5, 0, -0.1, north))
+    with pytest.raises(ValueError, match=r"dem\.tif lies beyond the scheme 'mercator'.*85\.05"):
+        WebLattice([path], MERCATOR, 3, 64)
+
+
+def test_a_raster_between_two_nodes_has_none(tmp_path):
+    path = write(tmp_path / "dem.tif", rough(9, 9), Affine(0.1, 0, 5.7, 0, -0.1, 1.3))
+    lattice = WebLattice([path], MERCATOR, 0, 64)
+    assert lattice.rows[0] == lattice.rows[1]
+    assert np.isnan(lattice.read((0, 65), (0, 64))).all()
 
 
 def test_the_native_zoom_is_the_nearest_to_as_fine(tmp_path):

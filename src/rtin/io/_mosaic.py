@@ -66,11 +66,20 @@ class Mosaic:
         """Return the mosaic with one file more, None where that is not on its grid."""
         if file.wkt != self.files[0].wkt:
             return None
-        turn = self.placement.world
-        if turn and not self.placement.period:
-            return None  # a turn of the world does not end on a sample
         corner = _corner(file, self.files[0], self.placement.period)
-        return corner and replace(self, files=(*self.files, file), corners=(*self.corners, corner))
+        if corner is None or not self._is_near(corner[1], file.shape[1]):
+            return None
+        return replace(self, files=(*self.files, file), corners=(*self.corners, corner))
+
+    def _is_near(self, left: int, n_cols: int) -> bool:
+        """Return whether columns have no other place, a turn of the world away, between samples."""
+        a, b, _, d, *_ = self.placement.place
+        world, period = self.placement.world, self.placement.period
+        if not world or period:
+            return True
+        middle = (self.files[0].shape[1] - 1) / 2.0
+        farthest = max(abs(left - 0.5 - middle), abs(left + n_cols - 0.5 - middle))
+        return b == 0.0 and d == 0.0 and farthest * abs(a) < world / 2.0
 
     def samples(self, rows: Span, cols: Span) -> Heights | None:
         """Return the samples of a window, NaN where void, infinite where no file has any.

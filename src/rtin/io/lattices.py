@@ -30,7 +30,6 @@ __all__ = [
     "RasterLattice",
     "WebLattice",
     "fingerprint",
-    "heights_as_given",
     "native_zoom",
 ]
 
@@ -175,8 +174,8 @@ class WebLattice:
     Raises
     ------
     OSError, TypeError, ValueError
-        As ``RasterLattice``; and ValueError for a raster without CRS or not on Earth, and where
-        PROJ lacks the geoid's grid: the message says which.
+        As ``RasterLattice``; and ValueError for a raster without CRS, or nowhere on Earth or in
+        the scheme, and where PROJ lacks the geoid's grid: the message says which.
     """
 
     def __init__(
@@ -197,10 +196,9 @@ class WebLattice:
         self.period = self.nodes.shape[1]
         self.transform = scheme.transform(zoom, cells)
         self.z_scale = float(z_scale)
-        files = _placed_files(paths, band, encoding)
+        mosaics = joined(_placed_files(paths, band, encoding))
         self._sources = [
-            (mosaic, _surface(mosaic, geoid), _span(mosaic.whole(), self.nodes))
-            for mosaic in joined(files)
+            (mosaic, _surface(mosaic, geoid), _span(mosaic, self.nodes)) for mosaic in mosaics
         ]
         for _, surface, _ in self._sources:
             if surface is not None:
@@ -249,23 +247,13 @@ def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
     """
     nodes = Nodes(scheme, 0, cells)
     files = _placed_files(paths, 1, "none")
-    steps = [_sample_step(Mosaic((file,), ((0, 0),)).placement, nodes) for file in files]
+    steps = []
+    for file in files:
+        mosaic = Mosaic((file,), ((0, 0),))
+        _span(mosaic, nodes)  # raises where it lies nowhere
+        steps.append(_sample_step(mosaic.placement, nodes))
     zoom = math.ceil(math.log2(1.0 / min(steps)) - 0.5)
     return min(max(zoom, 0), _LARGEST_ZOOM)
-
-
-def heights_as_given(paths: Sequence[Path]) -> list[str]:
-    """Return a line for each raster whose CRS does not say above what its heights are.
-
-    Without ``geoid`` they are taken as heights above the ellipsoid.
-    """
-    files = [RasterFile.of(path, 1, "none") for path in paths]
-    return [
-        f"{file.name}: its heights are taken as they are, above the ellipsoid; pass geoid= if they "
-        "are above the geoid"
-        for file in files
-        if file.crs is None or len(file.crs.axis_info) < 3
-    ]
 
 
 def _placed_files(paths: Sequence[Path], band: int, encoding: str | None) -> list[RasterFile]:
@@ -283,10 +271,10 @@ def _placed_files(paths: Sequence[Path], band: int, encoding: str | None) -> lis
 
 def _surface(mosaic: Mosaic, geoid: str | None) -> str | None:
     """Return the vertical CRS whose height above the ellipsoid is added to a mosaic's heights."""
-    if geoid is None:
-        return None
-    crs = as_crs(mosaic.files[0].wkt)
-    own = None if crs is None else vertical(crs)
+    crs = mosaic.files[0].crs
+    if geoid is None or crs is None or (len(crs.axis_info) == 3 and not crs.is_compound):
+        return None  # of three axes that are one, the third is the height above the ellipsoid
+    own = vertical(crs)
     return GEOIDS[geoid] if own is None else own.to_wkt()
 
 
@@ -301,12 +289,23 @@ def _sample_step(placement: Placement, nodes: Nodes) -> float:
     return float(min(math.hypot(across, y[1] - y[0]), math.hypot(down, y[2] - y[0])))
 
 
-def _span(placement: Placement, nodes: Nodes) -> tuple[Span, Span]:
-    """Return the rows and columns of nodes between which all those in a raster's cells lie."""
+def _span(mosaic: Mosaic, nodes: Nodes) -> tuple[Span, Span]:
+    """Return the rows and columns of nodes between which all those in a mosaic's cells lie."""
+    placement = mosaic.whole()
     lon, lat = placement.outline()
-    if not lon.size:
-        raise ValueError(f"a raster lies nowhere on Earth: its CRS is {placement.wkt}")
+    if not (np.abs(lat) <= 90.0).any():
+        crs, name = mosaic.files[0].crs, mosaic.files[0].name
+        raise ValueError(
+            f"{name} lies nowhere on Earth in its CRS, {crs and crs.name}; give it the one in "
+            "which it does, for example with gdal_edit.py -a_srs"
+        )
     rows, margin = nodes.rows_at(lat), 1e-6
+    if rows.max() < 0.0 or rows.min() > nodes.shape[0] - 1:
+        edge = nodes.latitudes(np.array([0]))[0]
+        raise ValueError(
+            f"{mosaic.files[0].name} lies beyond the scheme {nodes.scheme.name!r}, which ends at "
+            f"{edge:.2f} degrees; leave it out, or take the scheme 'geographic'"
+        )
     if not placement.is_separable:
         margin = 1.0 + 1e-3 * float(np.ptp(rows))
     first = max(0, math.ceil(rows.min() - margin))
