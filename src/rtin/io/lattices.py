@@ -30,6 +30,7 @@ __all__ = [
     "RasterLattice",
     "WebLattice",
     "fingerprint",
+    "lacks_vertical_crs",
     "native_zoom",
 ]
 
@@ -254,6 +255,12 @@ def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
         steps.append(_sample_step(mosaic.placement, nodes))
     zoom = math.ceil(math.log2(1.0 / min(steps)) - 0.5)
     return min(max(zoom, 0), _LARGEST_ZOOM)
+
+
+def lacks_vertical_crs(paths: Sequence[Path]) -> bool:
+    """Return whether a raster's CRS does not say above what its heights are."""
+    files = (RasterFile.of(path, 1, "none") for path in paths)
+    return any(file.crs is None or len(file.crs.axis_info) < 3 for file in files)
 
 
 def _placed_files(paths: Sequence[Path], band: int, encoding: str | None) -> list[RasterFile]:

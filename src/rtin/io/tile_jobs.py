@@ -280,7 +280,7 @@ def _lattice(
     raster: dict[str, Any],
 ) -> tuple[HeightLattice, list[str]]:
     """Return the nodes of the last zoom, and what is to be said about their heights."""
-    from rtin.io.lattices import MissingGeoid, WebLattice, heights_as_given
+    from rtin.io.lattices import MissingGeoid, WebLattice, lacks_vertical_crs
 
     as_given = "heights are taken as metres above the ellipsoid, as they are"
     if geoid is not None:
@@ -288,7 +288,7 @@ def _lattice(
             return WebLattice(names, scheme, zoom, cells, geoid=geoid, **raster), []
         except MissingGeoid as error:
             notes = [f"{error}; {as_given}"]
-    elif heights_as_given(names):
+    elif lacks_vertical_crs(names):
         notes = [f"{as_given}; --geoid egm2008 raises those above sea level by the geoid"]
     else:
         notes = []
