@@ -33,7 +33,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
-    require_place(path)
+    _require_place(target, path)
     try:
         with describing(path):
             yield part
@@ -59,7 +59,10 @@ def write_bytes(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
 
 def require_place(path: str | os.PathLike[str]) -> None:
     """Raise an OSError where no file could be put at ``path``, before the work of writing it."""
-    target = Path(os.path.realpath(path))
+    _require_place(Path(os.path.realpath(path)), path)
+
+
+def _require_place(target: Path, path: str | os.PathLike[str]) -> None:
     wanted = f"cannot write {os.fspath(path)}"
     if not target.parent.is_dir():
         raise FileNotFoundError(f"{wanted}: there is no folder {target.parent}; make it first")

@@ -42,6 +42,7 @@ _NORTH, _WEST = 0, 1
 _BLOCK_CELLS = 2048
 _MOST_TILES = 64
 _MOST_CELLS = 1 << 14  # a tile of so many takes a few GiB
+_MOST_READ = 1 << 22  # nodes at a time, where that is more than a row of tiles
 
 
 class HeightLattice(Protocol):
@@ -217,14 +218,24 @@ class Tiling:
 
     def read(self, places: Iterable[Place]) -> Iterator[tuple[Place, NDArray[np.floating[Any]]]]:
         """Yield the heights of tiles, each with a ring of one node more; tiles come row by row."""
-        for run in runs(sorted(places)):
-            (row, first_col), last_col = run[0], run[-1][1]
-            rows = (row * self.cells - 1, (row + 1) * self.cells + 2)
-            cols = (first_col * self.cells - 1, (last_col + 1) * self.cells + 2)
-            heights = self.lattice.read(rows, cols)
-            for place in run:
-                start = (place[1] - first_col) * self.cells
-                yield place, heights[:, start : start + self.cells + 3]
+        for rows, cols in _bands(places, _MOST_READ // self.cells**2):
+            spans = [(run[0][1], run[-1][1]) for run in runs([(0, col) for col in cols])]
+            windows = [self._window((rows[0], rows[-1]), span) for span in spans]
+            for row in rows:
+                for (first, last), window in zip(spans, windows, strict=True):
+                    top = (row - rows[0]) * self.cells
+                    ringed = window[top : top + self.cells + 3]
+                    for col in range(first, last + 1):
+                        left = (col - first) * self.cells
+                        yield (row, col), ringed[:, left : left + self.cells + 3]
+
+    def _window(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
+        """Return the heights from the first to the last row and column of tiles, and the ring."""
+        cells = self.cells
+        return self.lattice.read(
+            (rows[0] * cells - 1, (rows[1] + 1) * cells + 2),
+            (cols[0] * cells - 1, (cols[1] + 1) * cells + 2),
+        )
 
 
 def _require_cells(cells: object) -> None:
@@ -483,6 +494,21 @@ def runs(places: list[Place]) -> Iterator[list[Place]]:
         yield [place for _, place in run]
 
 
+def _bands(places: Iterable[Place], most: int) -> Iterator[tuple[list[int], list[int]]]:
+    """Yield rows that follow each other and have the same columns: ``most`` tiles, or one row."""
+    rows: list[int] = []
+    cols: list[int] = []
+    for row, tiles in groupby(sorted(places), lambda place: place[0]):
+        here = [col for _, col in tiles]
+        fits = (len(rows) + 1) * len(here) <= most
+        if rows and not (row == rows[-1] + 1 and here == cols and fits):
+            yield rows, cols
+            rows = []
+        rows, cols = [*rows, row], here
+    if rows:
+        yield rows, cols
+
+
 # --- one tile -----------------------------------------------------------------------------------
 
 
@@ -555,9 +581,12 @@ class OpenSquare:
 
         work = []
         for marks, (rows, cols) in zip(borders, self._sides, strict=True):
-            nodes = _numbers(marks & ~_bits(self.kept[rows, cols]))
-            work.append(pack(rows[nodes], cols[nodes], VERTEX))
-        self.settle(np.concatenate(work))
+            fresh = marks & ~_bits(self.kept[rows, cols])
+            if fresh:
+                nodes = _numbers(fresh)
+                work.append(pack(rows[nodes], cols[nodes], VERTEX))
+        if work:
+            self.settle(np.concatenate(work))
 
     def marks(self) -> list[int]:
         """Return what is kept on the northern, southern, western and eastern border."""
@@ -603,6 +632,8 @@ class _OpenTile(OpenSquare):
 
     def made(self) -> Tile | None:
         """Return the tile's mesh, None where it has no triangle."""
+        from rtin._kernels.tiles import fill_slopes
+
         if self.is_void:
             return None
         grid = Grid(self.heights)
@@ -620,7 +651,8 @@ class _OpenTile(OpenSquare):
             rows, cols, heights = rows[order], cols[order], heights[order]
             triangles = number[triangles[:, [1, 0, 2]]]
         row, col = self._place
-        slopes = _slopes(self._ringed, rows, cols)
+        slopes = np.empty((len(rows), 2))
+        fill_slopes(self._ringed, rows, cols, slopes)
         return Tile(
             row, col, self.cells, rows, cols, heights, slopes, triangles, self._largest_error()
         )
@@ -665,17 +697,3 @@ def _numbers(bits: int) -> NDArray[np.intp]:
     length = (bits.bit_length() + 7) // 8
     packed = np.frombuffer(bits.to_bytes(length, "little"), np.uint8)
     return np.flatnonzero(np.unpackbits(packed, bitorder="little"))
-
-
-def _slopes(
-    ringed: NDArray[np.floating[Any]], rows: NDArray[np.int32], cols: NDArray[np.int32]
-) -> NDArray[np.float64]:
-    """Return the rise to the east and to the north at some nodes of a tile with its ring."""
-    here = ringed[rows + 1, cols + 1].astype(np.float64)
-    slopes = np.empty((len(rows), 2))
-    for axis, (row_step, col_step) in enumerate(((0, 1), (-1, 0))):
-        rise = ringed[rows + 1 + row_step, cols + 1 + col_step] - here
-        fall = here - ringed[rows + 1 - row_step, cols + 1 - col_step]
-        rise, fall = np.where(np.isnan(rise), fall, rise), np.where(np.isnan(fall), rise, fall)
-        slopes[:, axis] = np.nan_to_num((rise + fall) / 2)
-    return slopes

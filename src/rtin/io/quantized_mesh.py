@@ -29,7 +29,7 @@ _LARGEST = 32767
 _MOST_SHORT = 1 << 16  # vertices whose indices take two bytes
 _OCT_NORMALS = 1
 _LEAST_EXPONENT = -10  # of 2, so that float32 holds heights on Earth in such steps
-_GZIP_LEVEL = 6
+_GZIP_LEVEL = 4  # 6: 4 % smaller files, and 2.6 times as long
 
 
 @dataclass(frozen=True)
