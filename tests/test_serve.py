@@ -16,7 +16,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tilesets import write_fault
+from islands import write_island
 
 pytest.importorskip("uvicorn")
 
@@ -80,11 +80,22 @@ def port(store):
         store.let.set()
 
 
-@pytest.fixture(scope="module")
-def fault(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fault")
-    write_fault(folder, zooms=range(4))
+def write_tiles(folder, zooms):
+    """A folder as rtin tiles fills it; to a server a tile is any bytes in gzip."""
+    for zoom in zooms:
+        for x in range(2):
+            path = folder / f"{zoom}/{x}/0.terrain"
+            path.parent.mkdir(parents=True)
+            path.write_bytes(gzip.compress(path.as_posix().encode(), mtime=0))
+    layer = {"format": "quantized-mesh-1.0", "projection": "EPSG:4326", "maxzoom": zooms[-1]}
+    (folder / "layer.json").write_text(json.dumps(layer))
     return folder
+
+
+@pytest.fixture(scope="module")
+def folder_of_tiles(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("served")
+    return write_tiles(folder / "tiles", range(4))
 
 
 def ask(port, path, method="GET", **headers):
@@ -375,32 +386,38 @@ def test_who_waits_for_a_tile_need_not_make_way(store, monkeypatch):
             client.close()
 
 
-def test_who_does_not_read_holds_up_nobody(port):
-    greedy = [begin(port, "viewer.html\r\n") for _ in range(4)]
-    for client in greedy:
-        for _ in range(50):
-            client.sendall(b"GET /pages/viewer.js HTTP/1.1\r\nHost: a\r\n\r\n")
-    assert ask(port, TILE)[0] == 200
-    for client in greedy:
-        client.close()
+def test_who_does_not_read_holds_up_nobody(tmp_path, monkeypatch):
+    monkeypatch.setattr(serve, "_MOST_CONNECTIONS", 8)
+    (tmp_path / "tileset.json").write_text("{}")
+    (tmp_path / "large.glb").write_bytes(bytes(64 << 20))  # more than the kernel takes off us
+    with serving(serve.FolderStore(tmp_path)) as port:
+        greedy = [begin(port, "large.glb") for _ in range(6)]
+        for client in greedy:
+            assert client.recv(15) == b"HTTP/1.1 200 OK"  # and no more
+        for _ in range(30):
+            assert ask(port, "tileset.json")[0] == 200
+        later = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(20)]
+        assert ask(port, "tileset.json")[0] == 200
+        for client in [*greedy, *later]:
+            client.close()
 
 
 # --- folders --------------------------------------------------------------------------------------
 
 
-def test_a_folder_is_served_byte_for_byte(fault):
-    with serving(serve.FolderStore(fault)) as port:
-        for tile in fault.rglob("*.terrain"):
-            path = tile.relative_to(fault).as_posix()
+def test_a_folder_is_served_byte_for_byte(folder_of_tiles):
+    with serving(serve.FolderStore(folder_of_tiles)) as port:
+        for tile in folder_of_tiles.rglob("*.terrain"):
+            path = tile.relative_to(folder_of_tiles).as_posix()
             assert ask(port, path, accept_encoding="gzip")[2] == tile.read_bytes()
         assert json.loads(ask(port, "layer.json")[2]) == json.loads(
-            (fault / "layer.json").read_text()
+            (folder_of_tiles / "layer.json").read_text()
         )
-        assert ask(port, "3/0/0.terrain")[0] == 404
+        assert ask(port, "3/5/0.terrain")[0] == 404
 
 
 def test_tiles_that_change_in_the_folder_change_for_clients(tmp_path):
-    write_fault(tmp_path, zooms=range(1))
+    write_tiles(tmp_path, range(1))
     with serving(serve.FolderStore(tmp_path)) as port:
         before = ask(port, TILE)[1]["etag"]
         (tmp_path / TILE).write_bytes(gzip.compress(b"another", mtime=0))
@@ -411,7 +428,7 @@ def test_tiles_that_change_in_the_folder_change_for_clients(tmp_path):
 
 
 def test_tiles_that_lie_there_without_gzip_are_served_too(tmp_path):
-    write_fault(tmp_path, zooms=range(1))
+    write_tiles(tmp_path, range(1))
     (tmp_path / TILE).write_bytes(b"plain")
     with serving(serve.FolderStore(tmp_path)) as port:
         assert ask(port, TILE)[2] == b"plain"
@@ -536,24 +553,72 @@ def test_an_address_that_cannot_be_is_told(store):
         serve.run(store, port=70000)
 
 
-@pytest.mark.parametrize("busy", [False, True])
-def test_ctrl_c_ends_it_quietly(fault, busy):
-    code = "import sys; from rtin import serve; serve.run(serve.FolderStore(sys.argv[1]), port=0)"
+RUN = "import sys; from rtin import serve; serve.run(serve.FolderStore(sys.argv[1]), port=0)"
+
+
+@contextmanager
+def started(*arguments):
+    """Yield a server's process and its port."""
     process = subprocess.Popen(
-        [sys.executable, "-u", "-W", "error", "-c", code, str(fault)],
+        [sys.executable, "-u", "-W", "error", *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        line = process.stdout.readline()
-        port = int(line.split("127.0.0.1:")[1].split("/")[0])
+        line = next(line for line in process.stdout if "127.0.0.1:" in line)
+        yield process, int(line.split("127.0.0.1:")[1].split("/")[0])
+    finally:
+        process.kill()
+        process.wait()
+
+
+def interrupted(process):
+    """Return the status and the complaints of a process after Ctrl-C."""
+    process.send_signal(signal.SIGINT)
+    _, complaints = process.communicate(timeout=60)
+    return process.returncode, complaints
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_ctrl_c_ends_it_quietly(folder_of_tiles, busy):
+    with started("-c", RUN, folder_of_tiles) as (process, port):
         assert ask(port, TILE)[0] == 200
         clients = [socket.create_connection(("127.0.0.1", port)) for _ in range(3 * busy)]
         for client in clients:
             client.sendall(b"GET / HT")
-        process.send_signal(signal.SIGINT)
-        _, complaints = process.communicate(timeout=30)
+        assert interrupted(process) == (0, "")
         for client in clients:
             client.close()
-    finally:
-        process.kill()
-    assert (process.returncode, complaints) == (0, "")
+
+
+def test_the_command_serves_a_folder_until_ctrl_c(folder_of_tiles):
+    with started("-m", "rtin", "serve", folder_of_tiles, "--port", 0) as (process, port):
+        assert ask(port, TILE, accept_encoding="gzip")[2] == (folder_of_tiles / TILE).read_bytes()
+        assert interrupted(process)[0] == 0
+
+
+def test_the_command_serves_a_raster_until_ctrl_c(tmp_path):
+    raster = write_island(tmp_path / "island.tif", shape=(40, 50))
+    options = ("--port", 0, "--max-error", 8, "--workers", 1)
+    with started("-m", "rtin", "serve", raster, *options) as (process, port):
+        layer = json.loads(ask(port, "layer.json")[2])
+        last = layer["available"][-1][0]
+        tile = f"{layer['maxzoom']}/{last['startX']}/{last['startY']}.terrain"
+        assert ask(port, tile)[0] == 200
+        status, complaints = interrupted(process)
+        assert status == 0
+        assert "Traceback" not in complaints
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [(["missing"], "missing"), (["empty"], "layer.json"), (["empty", "--port", "70000"], "port")],
+)
+def test_the_command_tells_in_a_line_what_it_cannot_serve(tmp_path, arguments, reason):
+    (tmp_path / "empty").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "rtin", "serve", *arguments],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr

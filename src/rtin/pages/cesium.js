@@ -73,21 +73,36 @@ async function showTerrain(widget, layer) {
   return provider;
 }
 
-/** The tiles of the first file that have none below: closer around the terrain than its root. */
-function lastTiles(tile) {
-  return tile.children.length ? tile.children.flatMap(lastTiles) : [tile];
+/** A sphere around the finest tiles known so far: closer around the terrain than the root's. */
+function sphereOf(tileset) {
+  const last = (tile) => (tile.children.length ? tile.children.flatMap(last) : [tile]);
+  return Cesium.BoundingSphere.fromBoundingSpheres(last(tileset.root).map((tile) => tile.boundingSphere));
+}
+
+/** Fly there, and nearer as finer tiles show where in the coarse ones the terrain is. */
+function approach(camera, tileset) {
+  let radius = sphereOf(tileset).radius;
+  flyTo(camera, sphereOf(tileset));
+  const stop = tileset.allTilesLoaded.addEventListener(() => {
+    const sphere = sphereOf(tileset);
+    if (sphere.radius > 0.9 * radius) return stop();
+    radius = sphere.radius;
+    flyTo(camera, sphere);
+  });
 }
 
 async function showModel(widget) {
-  // By default CesiumJS draws 3D Tiles that are off by 16 pixels, and terrain by 2.
+  const { scene, camera } = widget;
   const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`, { maximumScreenSpaceError: 2 });
-  widget.scene.primitives.add(tileset);
-  const sphere = Cesium.BoundingSphere.fromBoundingSpheres(lastTiles(tileset.root).map((tile) => tile.boundingSphere));
-  for (const part of [widget.scene.globe, widget.scene.skyAtmosphere, widget.scene.skyBox]) part.show = false;
-  widget.scene.backgroundColor = Cesium.Color.fromCssColorString("#e7eef3");
+  scene.primitives.add(tileset);
+  tileset.style = new Cesium.Cesium3DTileStyle({ color: "color('#b3a284')" });
+  tileset.environmentMapManager.enabled = false; // the light is the sun's alone
+  tileset.imageBasedLighting.imageBasedLightingFactor = new Cesium.Cartesian2(0.4, 0);
+  for (const part of [scene.globe, scene.skyAtmosphere, scene.skyBox]) part.show = false;
+  scene.backgroundColor = Cesium.Color.fromCssColorString("#e7eef3");
+  light(scene, Cesium.Rectangle.fromCartesianArray([sphereOf(tileset).center]));
   tileset.loadProgress.addEventListener((requests, processing) => count(requests + processing));
-  light(widget.scene, Cesium.Rectangle.fromCartesianArray([sphere.center]));
-  flyTo(widget.camera, sphere);
+  approach(camera, tileset);
   element("name").textContent = "3D Tiles";
   return tileset;
 }
