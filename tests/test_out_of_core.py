@@ -221,7 +221,7 @@ def test_finds_suspicious_values_part_by_part(values):
 
 @pytest.mark.parametrize("cells", [0, 1, 3, 48, -4])
 def test_refuses_blocks_that_are_no_power_of_two(cells):
-    with pytest.raises(ValueError, match=f"power of two from 2 on, got {cells}"):
+    with pytest.raises(ValueError, match=f"power of two from 2 to 16384, got {cells}"):
         coarsen_lattice(ArrayLattice(terrains.waves((9, 9))), max_error=1.0, cells=cells)
 
 

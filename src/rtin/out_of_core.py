@@ -86,25 +86,24 @@ def coarsen_lattice(
         together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few
         bits for each vertex kept, and come on top.
     cells : int, optional
-        Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
-        holds less than 16 such blocks. It has no influence on the result.
+        Along a side of a block, a power of two from 2 to 16384. By default 1024, fewer where the
+        memory holds less than 16 such blocks. It has no influence on the result.
     tell : callable, optional
         Called with the share of the work that is done, roughly.
 
     Raises
     ------
     TypeError, ValueError
-        As ``coarsen`` and ``Grid`` do; ValueError where ``cells`` is no power of two.
+        As ``coarsen``, ``Grid`` and ``Tiling`` do.
     MemoryError
         If the mesh itself does not fit in ``memory``.
     """
     tolerance = as_height("max_error", max_error)
     raster = _Raster(lattice)
-    size = lattice_size(raster.shape)
-    side = _cells_within(memory, raster.itemsize) if cells is None else _as_cells(cells)
-    if side >= size:
-        return coarsen(raster.grid(), max_error=tolerance)
+    side = _cells_within(memory, raster.itemsize) if cells is None else cells
     tiling = Tiling.of_raster(raster, side, tolerance)
+    if tiling.shape == (1, 1):
+        return coarsen(raster.grid(), max_error=tolerance)
     return _joined(_parts(raster, tiling, memory, tell or (lambda _: None)), raster)
 
 
@@ -642,10 +641,4 @@ def _cells_within(memory: int, itemsize: int) -> int:
     cells = _USUAL_CELLS
     while cells > _FEWEST_CELLS and 2 * _LEAST_BLOCKS * cells**2 * (itemsize + 1) > memory:
         cells //= 2
-    return cells
-
-
-def _as_cells(cells: int) -> int:
-    if cells < 2 or cells & (cells - 1):
-        raise ValueError(f"cells must be a power of two from 2 on, got {cells}")
     return cells
