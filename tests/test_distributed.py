@@ -269,7 +269,7 @@ from rtin.distributed import cluster
 if __name__ == "__main__":
     try:
         with cluster(workers=2) as executor:
-            results = executor.map(time.sleep, [40, 40])
+            results = executor.map(time.sleep, [600, 600])
             time.sleep(1)  # until both are under way
             print("working", flush=True)
             list(results)
@@ -289,6 +289,8 @@ def test_ctrl_c_ends_it_without_a_word(tmp_path):
         start_new_session=True,
     ) as process:
         assert process.stdout.readline() == "working\n"
+        began = time.monotonic()
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers get it too
         out, err = process.communicate()
+    assert time.monotonic() - began < 600  # which workers had yet to sleep
     assert (out, err, process.returncode) == ("interrupted\n", "", 0)

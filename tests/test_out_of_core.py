@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 import rasterio.control
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -98,6 +98,7 @@ def test_is_the_mesh_of_coarsen_on_any_terrain(heights, max_error, cells, transf
     assert_same(rtin.Grid(heights, transform), max_error, cells)
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([9, 17, 18]), st.sampled_from([2, 4, 8]))
 def test_rounds_as_coarsen_does(seed, side, cells):
     rng = np.random.default_rng(seed)
