@@ -16,11 +16,13 @@ import terrains
 from lattices import ArrayLattice, total
 from rtin.tiles import Tiling, make_tiles, settle_borders
 
-distributed = pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
+pytest.importorskip("distributed")
 
 from rtin.distributed import ClusterExecutor, cluster  # noqa: E402
 
 PYTHONPATH = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+_PATIENCE = 600  # seconds, with a busy machine
 ENVIRONMENT = {**os.environ, "PYTHONPATH": PYTHONPATH}
 
 
@@ -68,7 +70,7 @@ def test_map_is_map(two_workers):
 
 
 def test_submit_calls_with_options(two_workers):
-    assert two_workers.submit(sorted, [2, 3, 1], reverse=True).result(20) == [3, 2, 1]
+    assert two_workers.submit(sorted, [2, 3, 1], reverse=True).result() == [3, 2, 1]
 
 
 def test_what_a_call_raises_is_raised_here(two_workers):
@@ -150,22 +152,19 @@ def dying_row(folder, tiling, borders, places):
     return checksum_of_row(tiling, borders, places)
 
 
-def test_a_worker_lost_for_good_leaves_its_work_to_the_other(tiling):
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
-        ) as local,
-        distributed.Client(local) as client,
-    ):
-        executor = ClusterExecutor(client)
-        borders = settle_borders(tiling, executor=executor).borders
-        results = executor.map(partial(slow_row, tiling, borders), rows_of(tiling))
-        first = next(results)
-        local.workers[0].auto_restart = False
-        os.kill(local.workers[0].pid, signal.SIGKILL)
-        while len(client.nthreads()) == 2:
-            time.sleep(0.05)
-        assert (first + sum(results)) % 2**64 == checksum(tiling, None)
+def test_a_worker_lost_for_good_leaves_its_work_to_the_other(tiling, two_workers):
+    client = two_workers._client
+    borders = settle_borders(tiling, executor=two_workers).borders
+    results = two_workers.map(partial(slow_row, tiling, borders), rows_of(tiling))
+    first = next(results)
+    lost = client.cluster.workers[0]
+    lost.auto_restart = False
+    os.kill(lost.pid, signal.SIGKILL)
+    while len(client.nthreads()) == 2:
+        time.sleep(0.05)
+    assert (first + sum(results)) % 2**64 == checksum(tiling, None)
+    client.cluster.scale(2)
+    client.wait_for_workers(2)
 
 
 def slow_row(tiling, borders, places):
@@ -179,8 +178,9 @@ def die(_value):
 
 def test_work_that_kills_every_worker_ends_with_one_line():
     error = pytest.raises(OSError, match="want of memory")
-    with error as raised, cluster(workers=1) as executor:
-        executor.submit(die, 1).result(60)
+    at_once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+    with error as raised, at_once, cluster(workers=1) as executor:
+        executor.submit(die, 1).result()
     assert "\n" not in str(raised.value)
 
 
@@ -213,16 +213,16 @@ def worker(scheduler):
 
 
 def test_threads_of_a_worker_elsewhere_make_the_same_mesh(scheduler, worker, tiling):
-    with cluster(scheduler, timeout=30) as executor:
+    with cluster(scheduler, timeout=_PATIENCE) as executor:
         assert checksum(tiling, executor) == checksum(tiling, None)
-    with cluster(scheduler, timeout=30) as executor:  # which is still there
+    with cluster(scheduler, timeout=_PATIENCE) as executor:  # which is still there
         assert list(executor.map(abs, [-1])) == [1]
 
 
 def test_workers_of_another_version_are_refused(scheduler, worker, monkeypatch):
     monkeypatch.setattr("rtin.distributed.__version__", "9.9")
     error = pytest.raises(ConnectionError, match=r"runs rtin .*, this is 9\.9; install the same")
-    with error, cluster(scheduler, timeout=30):
+    with error, cluster(scheduler, timeout=_PATIENCE):
         pass
 
 
@@ -269,7 +269,7 @@ from rtin.distributed import cluster
 if __name__ == "__main__":
     try:
         with cluster(workers=2) as executor:
-            results = executor.map(time.sleep, [40, 40])
+            results = executor.map(time.sleep, [600, 600])
             time.sleep(1)  # until both are under way
             print("working", flush=True)
             list(results)
@@ -289,6 +289,8 @@ def test_ctrl_c_ends_it_without_a_word(tmp_path):
         start_new_session=True,
     ) as process:
         assert process.stdout.readline() == "working\n"
+        began = time.monotonic()
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: workers get it too
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate()
+    assert time.monotonic() - began < 600  # which workers had yet to sleep
     assert (out, err, process.returncode) == ("interrupted\n", "", 0)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-__all__ = ["NORTH_UP", "moved", "row_chunks", "scaled", "widened"]
+__all__ = ["NORTH_UP", "moved", "padded", "row_chunks", "scaled", "widened"]
 
+Span = tuple[int, int]
 CHUNK_SAMPLES = 1 << 18
 NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
@@ -32,6 +33,27 @@ def widened(transform: Affine, step: int) -> Affine:
     """Return the transform of a row and a column in every ``step`` of the given one."""
     a, b, x, d, e, y = transform[:6]
     return Affine(a * step, b * step, x, d * step, e * step, y)
+
+
+def padded(
+    read: Callable[[Span, Span], NDArray[Any]],
+    inside: tuple[Span, Span],
+    window: tuple[Span, Span],
+    dtype: Any,  # noqa: ANN401
+) -> NDArray[Any]:
+    """Return what ``read`` gives for a window; NaN outside of the rows and columns ``inside``."""
+    rows, cols = (
+        (max(first, low), min(end, high))
+        for (first, end), (low, high) in zip(window, inside, strict=True)
+    )
+    if (rows, cols) == window:
+        return read(rows, cols)
+    (top, bottom), (left, right) = window
+    values = np.full((bottom - top, right - left), np.nan, dtype)
+    if rows[0] < rows[1] and cols[0] < cols[1]:
+        part = slice(rows[0] - top, rows[1] - top), slice(cols[0] - left, cols[1] - left)
+        values[part] = read(rows, cols)
+    return values
 
 
 def scaled(

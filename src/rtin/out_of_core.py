@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from rtin import _parallel
 from rtin._distinct import distinct
 from rtin._options import as_height
-from rtin._raster import moved
+from rtin._raster import moved, padded
 from rtin.coarsening import coarsen, lattice_bytes, mesh_of_kept
 from rtin.criteria import ErrorFigures, error_by_bands
 from rtin.grid import Grid, lattice_size
@@ -86,25 +86,24 @@ def coarsen_lattice(
         together. The mesh itself takes some 48. Marks of blocks put aside are compressed to a few
         bits for each vertex kept, and come on top.
     cells : int, optional
-        Along a side of a block, a power of two from 2 on. By default 1024, fewer where the memory
-        holds less than 16 such blocks. It has no influence on the result.
+        Along a side of a block, a power of two from 2 to 16384. By default 1024, fewer where the
+        memory holds less than 16 such blocks. It has no influence on the result.
     tell : callable, optional
         Called with the share of the work that is done, roughly.
 
     Raises
     ------
     TypeError, ValueError
-        As ``coarsen`` and ``Grid`` do; ValueError where ``cells`` is no power of two.
+        As ``coarsen``, ``Grid`` and ``Tiling`` do.
     MemoryError
         If the mesh itself does not fit in ``memory``.
     """
     tolerance = as_height("max_error", max_error)
     raster = _Raster(lattice)
-    size = lattice_size(raster.shape)
-    side = _cells_within(memory, raster.itemsize) if cells is None else _as_cells(cells)
-    if side >= size:
-        return coarsen(raster.grid(), max_error=tolerance)
+    side = _cells_within(memory, raster.itemsize) if cells is None else cells
     tiling = Tiling.of_raster(raster, side, tolerance)
+    if tiling.shape == (1, 1):
+        return coarsen(raster.grid(), max_error=tolerance)
     return _joined(_parts(raster, tiling, memory, tell or (lambda _: None)), raster)
 
 
@@ -180,31 +179,11 @@ class LatticeWindow:
         self.lattice, self.rows, self.cols = lattice, rows, cols
         self.period: int | None = None
         self.transform, self.crs = lattice.transform, lattice.crs
+        self.dtype = lattice.read((rows[0], rows[0] + 1), (cols[0], cols[0] + 1)).dtype
 
     def read(self, rows: Span, cols: Span) -> _Heights:
         """Return the heights of a window."""
-        return _read_within(self.lattice, self.rows, self.cols, rows, cols)
-
-
-def _read_within(
-    lattice: HeightLattice, within_rows: Span, within_cols: Span, rows: Span, cols: Span
-) -> _Heights:
-    """Return the heights of a window, NaN where it is outside another one."""
-    first_row, end_row = _common(within_rows, rows)
-    first_col, end_col = _common(within_cols, cols)
-    if (first_row, end_row) == rows and (first_col, end_col) == cols:
-        return lattice.read(rows, cols)
-    part = lattice.read((first_row, end_row), (first_col, end_col))
-    heights = np.full((rows[1] - rows[0], cols[1] - cols[0]), np.nan, part.dtype)
-    below, right = first_row - rows[0], first_col - cols[0]
-    heights[below : below + part.shape[0], right : right + part.shape[1]] = part
-    return heights
-
-
-def _common(within: Span, span: Span) -> Span:
-    """Return the nodes of a span that are within another: one of these where there are none."""
-    first = min(max(span[0], within[0]), within[1])
-    return first, max(first, min(span[1], within[1]))
+        return padded(self.lattice.read, (self.rows, self.cols), (rows, cols), self.dtype)
 
 
 def _parts(raster: _Raster, tiling: Tiling, memory: int, tell: Tell) -> list[_Part]:
@@ -234,7 +213,6 @@ class _Raster:
     period: int | None = None
 
     def __init__(self, lattice: HeightLattice) -> None:
-        self._lattice = lattice
         (first_row, end_row), (first_col, end_col) = lattice.rows, lattice.cols
         self.shape = end_row - first_row, end_col - first_col
         if min(self.shape) < 2:
@@ -244,13 +222,14 @@ class _Raster:
         if first_row != 0 or first_col != 0:
             self.transform = moved(lattice.transform, first_row, first_col)
         self.crs = lattice.crs
-        self.itemsize = self.read((0, 1), (0, 1)).itemsize
+        self._window = LatticeWindow(lattice, lattice.rows, lattice.cols)
+        self.itemsize = self._window.dtype.itemsize
 
     def read(self, rows: Span, cols: Span) -> _Heights:
         """Return the heights of a window, NaN where it is outside."""
-        down, right = self._lattice.rows[0], self._lattice.cols[0]
+        down, right = self._window.rows[0], self._window.cols[0]
         rows, cols = (rows[0] + down, rows[1] + down), (cols[0] + right, cols[1] + right)
-        return _read_within(self._lattice, self._lattice.rows, self._lattice.cols, rows, cols)
+        return self._window.read(rows, cols)
 
     def grid(self) -> Grid:
         """Return all of it as a grid."""
@@ -642,10 +621,4 @@ def _cells_within(memory: int, itemsize: int) -> int:
     cells = _USUAL_CELLS
     while cells > _FEWEST_CELLS and 2 * _LEAST_BLOCKS * cells**2 * (itemsize + 1) > memory:
         cells //= 2
-    return cells
-
-
-def _as_cells(cells: int) -> int:
-    if cells < 2 or cells & (cells - 1):
-        raise ValueError(f"cells must be a power of two from 2 on, got {cells}")
     return cells

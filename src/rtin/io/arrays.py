@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._crs import as_crs
+from rtin._raster import padded
 from rtin.grid import as_floats, placed, unpacked
 
 __all__ = ["DataArrayLattice"]
@@ -45,14 +46,11 @@ class DataArrayLattice:
 
         Raises ValueError for whole numbers that float64 can't hold.
         """
-        window = np.full((rows[1] - rows[0], cols[1] - cols[0]), np.nan, self._dtype)
-        row, end_row = max(rows[0], 0), min(rows[1], self.rows[1])
-        col, end_col = max(cols[0], 0), min(cols[1], self.cols[1])
-        if row < end_row and col < end_col:
-            part = _computed(self._data[row:end_row, col:end_col])
-            inside = window[row - rows[0] : end_row - rows[0], col - cols[0] : end_col - cols[0]]
-            inside[...] = as_floats(unpacked(part))
-        return window
+        return padded(self._read, (self.rows, self.cols), (rows, cols), self._dtype)
+
+    def _read(self, rows: tuple[int, int], cols: tuple[int, int]) -> NDArray[np.floating[Any]]:
+        part = _computed(self._data[slice(*rows), slice(*cols)])
+        return as_floats(unpacked(part)).astype(self._dtype, order="C")
 
 
 def _dtype_of(data: Any) -> type[np.floating[Any]]:  # noqa: ANN401

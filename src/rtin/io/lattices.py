@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._crs import as_crs
+from rtin._raster import padded
 from rtin.grid import Grid
 from rtin.io._geoid import GEOIDS, MissingGeoid, require_geoid, undulation, vertical
 from rtin.io._mosaic import Mosaic, joined
@@ -56,11 +57,11 @@ class GridLattice:
     def read(self, rows: Span, cols: Span) -> NDArray[np.floating[Any]]:
         """Return the heights of a window; NaN where void or outside."""
         heights = self.grid.heights
-        return _padded(
-            lambda rows, cols: heights[slice(*rows), slice(*cols)],
-            heights.shape,
+        return padded(
+            lambda rows, cols: heights[slice(*rows), slice(*cols)].copy(),
+            (self.rows, self.cols),
             (rows, cols),
-            np.full((rows[1] - rows[0], cols[1] - cols[0]), np.nan, heights.dtype),
+            heights.dtype,
         )
 
 
@@ -107,26 +108,8 @@ class RasterLattice:
         They are float32 where the file's type promises that it holds them (as scaled or coded
         heights, which are rounded to it, and integers of 16 bits), float64 otherwise.
         """
-        shape, dtype = (rows[1] - rows[0], cols[1] - cols[0]), self.file.dtype
-        inside = _common(rows, self.rows), _common(cols, self.cols)
-        if inside == (rows, cols):
-            return self.file.read(rows, cols)
-        return _padded(self.file.read, self.file.shape, (rows, cols), np.full(shape, np.nan, dtype))
-
-
-def _padded(
-    read: Any,  # noqa: ANN401
-    shape: tuple[int, ...],
-    window: tuple[Span, Span],
-    heights: NDArray[Any],
-) -> NDArray[Any]:
-    """Put what lies inside ``shape`` into the heights of a window."""
-    (top, _), (left, _) = window
-    rows, cols = _common(window[0], (0, shape[0])), _common(window[1], (0, shape[1]))
-    if rows[0] < rows[1] and cols[0] < cols[1]:
-        part = slice(rows[0] - top, rows[1] - top), slice(cols[0] - left, cols[1] - left)
-        heights[part] = read(rows, cols)
-    return heights
+        file = self.file
+        return padded(file.read, (self.rows, self.cols), (rows, cols), file.dtype)
 
 
 def _common(one: Span, other: Span) -> Span:
