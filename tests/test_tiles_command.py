@@ -266,14 +266,14 @@ def dem(tmp_path_factory):
         (["--zoom", "-3"], 2, "--zoom wants one zoom or two"),
         (["--zoom", "0-3", "--max-error", "4,2"], 1, "one for each of the 4 zooms 0 to 3, got 2"),
         (["--zoom", "0-1", "--max-error", "1,2"], 1, "tolerances must not grow with the zoom"),
-        (["--max-error", "-1"], 1, "-1"),
+        (["--max-error", "-1"], 1, "got -1"),
         (["--max-error", "nan"], 2, "--max-error wants numbers, got 'nan'"),
         (["--max-error", "a"], 2, "--max-error wants numbers, got 'a'"),
         (["--cells", "100"], 1, "cells must be a power of two from 2 to 16384, got 100"),
         (["--cells", "0"], 1, "cells must be a power of two"),
         (["--fill", "high"], 2, "--fill wants numbers, got 'high'"),
         (["--format", "gltf"], 2, "'gltf' is not one of"),
-        (["--workers", "0"], 2, "0 is not in the range"),
+        (["--workers", "0"], 2, "Invalid value for '--workers'"),
         (["--band", "2"], 1, "band"),
         (["--format", "obj"], 1, "max_error is needed"),
     ],
@@ -315,14 +315,14 @@ def test_folders_above_are_made(dem, tmp_path):
 
 # --- runs that end early ------------------------------------------------------------------------
 
-SLOW = ("--cells", 16, "--zoom", "0-12", "--max-error", 1)
+SLOW = ("--cells", 16, "--zoom", "0-11", "--max-error", 1)
 
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory):
     """A raster of many tiles, and what becomes of it in one go."""
     folder = tmp_path_factory.mktemp("wide")
-    heights = rough(256, 320)
+    heights = rough(*SHAPE)
     dem = raster(
         folder / "dem.tif", heights, compress="deflate", tiled=True, blockxsize=64, blockysize=64
     )
@@ -330,7 +330,7 @@ def wide(tmp_path_factory):
     return SimpleNamespace(dem=dem, tiles=folder / "tiles", contents=contents(folder / "tiles"))
 
 
-def await_tiles(process, out, number=5):
+def await_tiles(process, out, number=200):
     while len(list(out.rglob("*.terrain"))) < number:
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.01)
@@ -443,7 +443,7 @@ def test_a_block_damaged_later_keeps_what_was_finished(wide, tmp_path):
     assert contents(out) == wide.contents
 
 
-@pytest.mark.parametrize("most", [0, 2000, 100_000, 300_000])
+@pytest.mark.parametrize("most", [0, 2000, 30_000])
 def test_files_that_may_not_grow_are_one_line(wide, tmp_path, most):
     """Like a full disk: nothing can be written beyond some bytes."""
     out = tmp_path / "tiles"
@@ -475,4 +475,4 @@ def test_a_full_disk_is_one_line_and_nothing_is_lost(wide, tmp_path, size, worke
         made(wide.dem, disk / "tiles", *SLOW)
         assert contents(disk / "tiles") == wide.contents
     finally:
-        subprocess.run(["umount", str(disk)], check=True)
+        subprocess.run(["umount", "-l", str(disk)], check=True)

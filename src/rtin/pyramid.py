@@ -18,6 +18,7 @@ import numpy as np
 
 from rtin._atomic import replacing
 from rtin._decimated import DecimatedLattice, Recording
+from rtin._options import as_height
 from rtin.schemes import EQUATORIAL_RADIUS, Scheme
 from rtin.tiles import HeightLattice, Place, Settled, Tile, Tiling, make_tiles, settle_borders
 
@@ -44,9 +45,11 @@ def tolerances(
     Raises
     ------
     ValueError
-        If several are given, but not one for each zoom, or they grow with the zoom.
+        If one is negative or NaN, or several are given, but not one for each zoom, or they grow
+        with the zoom.
     """
     zooms = range(first, last + 1)
+    given = [as_height("max_error", value) for value in given or ()]
     if not given:
         return {zoom: default(zoom) for zoom in zooms}
     if len(given) == 1:
