@@ -172,7 +172,8 @@ def open_cesium(browser, port):
 def test_cesium_renders_the_terrain(browser, tilesets):
     with serving(tilesets.get()[1], cesium=CESIUM) as port:
         visit = open_cesium(browser, port)
-        visit.page.wait_for_timeout(2000)  # it flies there
+        visit.until("document.body.dataset.there === 'true'")
+        visit.page.wait_for_timeout(500)
         visit.until("widget.scene.globe.tilesLoaded")
         shown = canvas_pixels(visit.page)
         visit.page.evaluate("widget.terrainProvider = new Cesium.EllipsoidTerrainProvider()")
@@ -239,7 +240,8 @@ def of_rounding_places(job):
 def test_cesium_renders_3d_tiles(browser, tilesets):
     with serving(tilesets.get("3dtiles")[1], cesium=CESIUM) as port:
         visit = open_cesium(browser, port)
-        visit.page.wait_for_timeout(2000)  # it flies there
+        visit.until("document.body.dataset.there === 'true'")
+        visit.page.wait_for_timeout(500)
         visit.until("shown.tilesLoaded")
         counts = visit.page.inner_text("#counts")
         shown = canvas_pixels(visit.page)

@@ -56,7 +56,8 @@ function light(scene, rectangle) {
 
 function flyTo(camera, sphere) {
   const offset = new Cesium.HeadingPitchRange(0, Cesium.Math.toRadians(-38), sphere.radius * 2.4);
-  camera.flyToBoundingSphere(sphere, { offset, duration: 1.5 });
+  const complete = () => { document.body.dataset.there = true; };
+  camera.flyToBoundingSphere(sphere, { offset, duration: 1.5, complete });
 }
 
 async function showTerrain(widget, layer) {
@@ -73,36 +74,41 @@ async function showTerrain(widget, layer) {
   return provider;
 }
 
-/** A sphere around the finest tiles known so far: closer around the terrain than the root's. */
-function sphereOf(tileset) {
-  const last = (tile) => (tile.children.length ? tile.children.flatMap(last) : [tile]);
-  return Cesium.BoundingSphere.fromBoundingSpheres(last(tileset.root).map((tile) => tile.boundingSphere));
+const json = async (url) => (await fetch(url)).json();
+
+/** The tiles without children, files within files read as long as there are few. */
+async function lastTiles(url) {
+  const within = (tile, file) => (tile.children?.length ? tile.children.flatMap((each) => within(each, file)) : [{ tile, file }]);
+  const read = async (file) => within((await json(file)).root, file);
+  let last = await read(url);
+  const isFile = ({ tile }) => tile.content?.uri.endsWith(".json");
+  while (last.some(isFile) && last.length < 64) {
+    last = (await Promise.all(last.map((each) => (isFile(each) ? read(new URL(each.tile.content.uri, each.file)) : [each])))).flat();
+  }
+  return last.map(({ tile }) => tile);
 }
 
-/** Fly there, and nearer as finer tiles show where in the coarse ones the terrain is. */
-function approach(camera, tileset) {
-  let radius = sphereOf(tileset).radius;
-  flyTo(camera, sphereOf(tileset));
-  const stop = tileset.allTilesLoaded.addEventListener(() => {
-    const sphere = sphereOf(tileset);
-    if (sphere.radius > 0.9 * radius) return stop();
-    radius = sphere.radius;
-    flyTo(camera, sphere);
-  });
+/** A sphere around the finest tiles: closer around the terrain than that of the root. */
+async function sphereOf(tileset, url) {
+  const regions = (await lastTiles(url)).map((tile) => tile.boundingVolume.region);
+  if (!regions.every((region) => region)) return tileset.boundingSphere;
+  return Cesium.BoundingSphere.fromBoundingSpheres(regions.map(([west, south, east, north, low, high]) =>
+    Cesium.BoundingSphere.fromRectangle3D(new Cesium.Rectangle(west, south, east, north), Cesium.Ellipsoid.WGS84, (low + high) / 2)));
 }
 
 async function showModel(widget) {
-  const { scene, camera } = widget;
-  const tileset = await Cesium.Cesium3DTileset.fromUrl(`${base}tileset.json`, { maximumScreenSpaceError: 2 });
+  const [{ scene, camera }, url] = [widget, `${base}tileset.json`];
+  const tileset = await Cesium.Cesium3DTileset.fromUrl(url, { maximumScreenSpaceError: 2 });
   scene.primitives.add(tileset);
   tileset.style = new Cesium.Cesium3DTileStyle({ color: "color('#b3a284')" });
   tileset.environmentMapManager.enabled = false; // the light is the sun's alone
   tileset.imageBasedLighting.imageBasedLightingFactor = new Cesium.Cartesian2(0.4, 0);
   for (const part of [scene.globe, scene.skyAtmosphere, scene.skyBox]) part.show = false;
   scene.backgroundColor = Cesium.Color.fromCssColorString("#e7eef3");
-  light(scene, Cesium.Rectangle.fromCartesianArray([sphereOf(tileset).center]));
+  const sphere = await sphereOf(tileset, url);
+  light(scene, Cesium.Rectangle.fromCartesianArray([sphere.center]));
   tileset.loadProgress.addEventListener((requests, processing) => count(requests + processing));
-  approach(camera, tileset);
+  flyTo(camera, sphere);
   element("name").textContent = "3D Tiles";
   return tileset;
 }
@@ -129,8 +135,8 @@ if (typeof Cesium === "undefined") {
 } else {
   const widget = globe();
   listen(widget);
-  const { terrain } = await (await fetch("health")).json();
-  const shown = terrain ? await showTerrain(widget, await (await fetch("layer.json")).json()) : await showModel(widget);
+  const { terrain } = await json("health");
+  const shown = terrain ? await showTerrain(widget, await json("layer.json")) : await showModel(widget);
   Object.assign(window, { widget, shown }); // for the console
   document.body.dataset.state = "ready";
 }
