@@ -19,7 +19,7 @@ from rtin.tiles import Tiling, make_tiles, settle_borders
 dask = pytest.importorskip("dask")
 pytest.importorskip("distributed")
 
-from rtin.distributed import ClusterExecutor, cluster  # noqa: E402
+from rtin.distributed import cluster  # noqa: E402
 
 PYTHONPATH = os.pathsep.join([str(Path(__file__).parent), *sys.path])
 _PATIENCE = 600  # seconds, with a busy machine

@@ -224,8 +224,8 @@ def test_a_utm_raster_lies_on_both_sides_of_the_antimeridian(tmp_path):
 
 def test_rasters_on_both_sides_of_the_antimeridian_are_spanned_the_short_way(tmp_path):
     paths = [
-        write(tmp_path / f"{west}.tif", rough(8, 4), Affine(2.0, 0, west, 0, -2.0, 8.0))
-        for west in (-178, 170, -140)
+        write(tmp_path / f"{west}.tif", rough(8, 4), Affine(2.0, 0, west, 0, -2.0, north))
+        for west, north in ((-178, 8.0), (170, 8.7), (-140, 8.3))  # on three grids
     ]
     lattice = WebLattice(paths, GEOGRAPHIC, 1, 64)
     degrees = 256 / 360
