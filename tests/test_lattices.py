@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from rtin import Grid, read_grid
+from rtin._kernels.lattices import extent
 from rtin._raster import moved
+from rtin.io._windows import _OPEN, RasterFile
 from rtin.io.lattices import GridLattice, RasterLattice, WebLattice, fingerprint, native_zoom
 from rtin.schemes import SCHEMES
 
@@ -221,6 +223,30 @@ def test_a_utm_raster_lies_on_both_sides_of_the_antimeridian(tmp_path):
     assert (np.isnan(found) != np.isnan(wanted)).sum() <= 4
 
 
+def test_rasters_on_both_sides_of_the_antimeridian_are_spanned_the_short_way(tmp_path):
+    paths = [
+        write(tmp_path / f"{west}.tif", rough(8, 4), Affine(2.0, 0, west, 0, -2.0, north))
+        for west, north in ((-178, 8.0), (170, 8.7), (-140, 8.3))  # on three grids
+    ]
+    lattice = WebLattice(paths, GEOGRAPHIC, 1, 64)
+    degrees = 256 / 360
+    assert lattice.cols == (math.ceil(350 * degrees), math.floor(408 * degrees) + 1)
+
+
+def test_the_extent_of_places_on_a_ring_is_the_short_way_round():
+    assert extent(np.array([[2.0, 98.5, np.nan, 1.0]]), 100) == (-2, 2)
+    assert extent(np.array([[2.0, 98.5, np.nan, 1.0]]), 0) == (1, 98)
+
+
+def test_a_forked_process_opens_files_anew(tmp_path, monkeypatch):
+    path = write(tmp_path / "dem.tif", rough(9, 9), Affine(2, 0, 5, 0, -2, 9))
+    file = RasterFile.of(path, 1, None)
+    opened = _OPEN.get(file)
+    assert _OPEN.get(file) is opened
+    monkeypatch.setattr("os.getpid", lambda: -1)
+    assert _OPEN.get(file) is not opened
+
+
 @pytest.mark.parametrize("cell", [0.01, 0.0097])  # 0.0097 degrees do not divide the world
 @pytest.mark.parametrize("cut", [20, 1])
 def test_abutting_rasters_are_one(tmp_path, cut, cell):
@@ -260,6 +286,19 @@ def test_rasters_around_the_world_from_each_other_are_two_where_cells_do_not_div
         alone = WebLattice([path], GEOGRAPHIC, 2, 64)
         window = alone.rows, alone.cols
         assert_array_equal(lattice.read(*window), alone.read(*window))
+
+
+def test_a_sample_void_in_one_raster_comes_from_the_next_on_its_grid(tmp_path):
+    heights, place = rough(20, 20), Affine(0.01, 0, 11, 0, -0.01, 46)
+    pierced = heights.copy()
+    pierced[5:9, 4:8] = np.nan
+    paths = [
+        write(tmp_path / "pierced.tif", pierced, place),
+        write(tmp_path / "part.tif", heights[3:, 2:], moved_cells(place, 2, 3)),
+    ]
+    lattice = WebLattice(paths, GEOGRAPHIC, 9, 64)
+    alone = WebLattice([write(tmp_path / "whole.tif", heights, place)], GEOGRAPHIC, 9, 64)
+    np.testing.assert_allclose(lattice.read(*whole(alone)), alone.read(*whole(alone)), atol=1e-2)
 
 
 @pytest.mark.parametrize("shape", [(1, 12), (12, 1), (1, 1)])
