@@ -23,6 +23,8 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/coarsening.py $(RASTERS)
 	$(BIN)/python benchmarks/refinement.py
 	$(BIN)/python benchmarks/distance.py $(RASTERS)
+	$(BIN)/python benchmarks/tiles.py $(RASTERS)
+	$(BIN)/python benchmarks/workers.py
 	$(BIN)/python benchmarks/memory.py $(RASTERS)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/promise.py $(RASTERS)
