@@ -333,32 +333,30 @@ def settle_borders(
         Called with the number of tiles settled so far and of those in sight.
     """
     run: Callable[..., Iterable[Settled]] = map if executor is None else executor.map
-    whole = Settled({}, frozenset(), 0.0)
+    borders: Borders = {}
+    places: set[Place] = set()
+    largest_range = 0.0
     pending = _by_block(tiling, tiling.tiles())
     done = 0
     while pending:
         blocks, todo = list(pending), list(pending.values())
-        known = [_known(tiling, block, whole.borders) for block in blocks]
+        known = [_known(tiling, block, borders) for block in blocks]
         in_sight = done + sum(map(len, todo))
         found: dict[Place, Borders] = {}
         parts = run(partial(settle_block, tiling), blocks, todo, known)
-        joined = dict(whole.borders)
+        joined = dict(borders)
         for block, part in zip(blocks, parts, strict=True):
             found[block] = part.borders
             for edge, marks in part.borders.items():
                 joined[edge] = joined.get(edge, 0) | marks
-            whole = Settled(
-                whole.borders,
-                whole.places | part.places,
-                max(whole.largest_range, part.largest_range),
-            )
+            places |= part.places
+            largest_range = max(largest_range, part.largest_range)
             done += len(pending[block])
             if tell is not None:
                 tell(done, in_sight)
-        unaware = _unaware(tiling, whole.borders, found, joined)
-        whole = replace(whole, borders=joined)
-        pending = _by_block(tiling, unaware)
-    return whole
+        pending = _by_block(tiling, _unaware(tiling, borders, found, joined))
+        borders = joined
+    return Settled(borders, frozenset(places), largest_range)
 
 
 def settle_block(tiling: Tiling, block: Place, places: list[Place], known: Borders) -> Settled:

@@ -210,7 +210,8 @@ def _start(
             "was made; add --update to make the tiles that it touches anew"
         )
     if job is not None and changed:
-        for path in (*state.glob("heights-*"), *state.glob("settled-*")):
+        # Heights are taken for whole where borders are settled: these go first.
+        for path in (*state.glob("settled-*"), *state.glob("heights-*")):
             path.unlink()
         if not job["finished"]:  # tiles may be newer than what is known of them
             with table:
@@ -395,7 +396,8 @@ def _make_batch(batch: _Batch) -> tuple[list[TileRecord], int]:
 def _key(batch: _Batch, place: Place, heights: NDArray[np.floating[Any]]) -> bytes:
     """Return a digest of all that a tile's file depends on, but the settings of the whole."""
     digest = blake2b(heights.tobytes(), digest_size=16)
-    borders = [batch.borders.get(edge, 0) for edge in batch.tiling.edges(place)]
+    # Not in decimals, which Python has no more than 4300 of.
+    borders = [hex(batch.borders.get(edge, 0)) for edge in batch.tiling.edges(place)]
     rounding = batch.output.rounding(batch.zoom, batch.largest_range)
     digest.update(repr((borders, rounding)).encode())
     return digest.digest()
