@@ -72,6 +72,8 @@ class DecimatedLattice:
             for (our_rows, our_cols), theirs in self._shared(*window):
                 first = our_rows.start * self._n_cols + our_cols.start
                 for number, values in enumerate(bits[theirs]):
+                    if not values.any():
+                        continue  # all void, as the file is where nothing was written
                     _write(file, (first + number * self._n_cols) * values.itemsize, values)
 
     def _shared(self, rows: Span, cols: Span) -> Iterator[tuple[Any, Any]]:

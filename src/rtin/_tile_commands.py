@@ -241,7 +241,7 @@ def _report_tiles(
     for level in made.levels:
         counts = f"{level.n_tiles:>9}{level.n_vertices:>12}{level.n_triangles:>12}"
         print(f"{level.zoom:>6}{counts}{level.tolerance:>12.6g}{level.max_error:>12.6g}")
-    report(summary, as_json)
+    report({**summary, "notes": job.notes}, as_json)
 
 
 def serve(

@@ -147,7 +147,8 @@ class FolderStore:
         layer = self.folder / "layer.json"
         if not layer.is_file() and not (self.folder / "tileset.json").is_file():
             raise FileNotFoundError(
-                f"{folder} must have a layer.json or a tileset.json; rtin tiles makes such folders"
+                f"{folder} must have a layer.json or a tileset.json, as folders have that "
+                "rtin tiles fills with --format terrain or 3dtiles"
             )
         self._stamp: tuple[int, int] | None = None
         self._layer: dict[str, Any] = {}

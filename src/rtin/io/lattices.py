@@ -226,8 +226,8 @@ def native_zoom(paths: Sequence[Path], scheme: Scheme, cells: int) -> int:
 
     They are at most √2 times as far apart: a whole zoom more would make four times the tiles.
 
-    Distances are those in the scheme's CRS at the middle of each raster, along its rows or its
-    columns, whichever are closer; the zoom is at most 24. Raises what ``WebLattice`` raises.
+    Distances are those in the scheme's CRS halfway to a corner of each raster, along its rows or
+    its columns, whichever are closer; the zoom is at most 24. Raises what ``WebLattice`` raises.
     """
     nodes = Nodes(scheme, 0, cells)
     files = _placed_files(paths, 1, "none")
@@ -269,14 +269,20 @@ def _surface(mosaic: Mosaic, geoid: str | None) -> str | None:
 
 
 def _sample_step(placement: Placement, nodes: Nodes) -> float:
-    """Return the distance of two samples in the middle of a raster, in spacings of the nodes."""
-    n_rows, n_cols = placement.shape
-    row, col = (n_rows - 1) / 2.0, (n_cols - 1) / 2.0
+    """Return the distance of two samples halfway to a raster's corner, in spacings of the nodes.
+
+    Where samples are not set by longitude, a degree of it counts for what it is beside one of
+    latitude: around a pole all longitudes are near.
+    """
+    row, col = (n / 4.0 for n in placement.shape)
     lon, lat = placement.to_world(np.array([row, row, row + 1]), np.array([col, col + 1, col]))
-    x, y = nodes.cols_at(lon), nodes.rows_at(lat)
-    across = (np.diff(x[[0, 1]])[0] + nodes.shape[1] / 2) % nodes.shape[1] - nodes.shape[1] / 2
-    down = (np.diff(x[[0, 2]])[0] + nodes.shape[1] / 2) % nodes.shape[1] - nodes.shape[1] / 2
-    return float(min(math.hypot(across, y[1] - y[0]), math.hypot(down, y[2] - y[0])))
+    is_even = placement.is_separable or nodes.scheme.name == "mercator"
+    share = 1.0 if is_even else math.cos(math.radians(lat[0]))
+    x, y, half = nodes.cols_at(lon), nodes.rows_at(lat), nodes.shape[1] / 2
+    return min(
+        math.hypot(share * ((x[beside] - x[0] + half) % (2 * half) - half), y[beside] - y[0])
+        for beside in (1, 2)
+    )
 
 
 def _span(mosaic: Mosaic, nodes: Nodes) -> tuple[Span, Span]:

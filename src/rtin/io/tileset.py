@@ -184,11 +184,19 @@ def _opened(folder: Path, settings: dict[str, Any]) -> Path:
     for name, value in settings.items():
         if job is not None and job["settings"].get(name) != value:
             raise FileExistsError(
-                f"{folder} holds tiles made with {name} = {job['settings'].get(name)}, "
-                f"not {value}; name another folder, or remove this one first"
+                f"{folder} holds tiles made with {name} = {_short(job['settings'].get(name))}, "
+                f"not {_short(value)}; name another folder, or remove this one first"
             )
     state.mkdir(parents=True, exist_ok=True)
     return state
+
+
+def _short(value: Any) -> str:  # noqa: ANN401
+    """Return a setting in few words: of those for each zoom, that of the last one."""
+    if isinstance(value, dict) and value:
+        zoom, of_zoom = list(value.items())[-1]
+        return f"{of_zoom} at zoom {zoom}"
+    return str(value)
 
 
 def _start(
