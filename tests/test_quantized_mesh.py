@@ -257,3 +257,12 @@ def test_tiles_are_named_from_the_south():
     assert output.name(3, 0, 5) == "3/5/7.terrain"
     assert output.roots(0) == {(0, 0), (0, 1)}
     assert output.roots(1) == frozenset()
+
+
+@pytest.mark.parametrize("exponent", [-10, -3, 2])
+@pytest.mark.parametrize("excess", [-3, -2, -1, 0, 1, 2])
+def test_a_step_holds_its_range_wherever_the_heights_begin(exponent, excess):
+    largest_range = 2.0**exponent * (32767 + excess)
+    step = height_step(largest_range)
+    assert largest_range / step + 1.0 <= 32767  # rounding both ends may add one
+    assert step == 2.0**-10 or largest_range / (step / 2.0) > 32767 - 2

@@ -301,6 +301,52 @@ def test_an_update_that_was_ended_can_be_taken_back(copy, tmp_path, whole):
     assert contents(copy) == contents(whole)
 
 
+def test_what_an_ended_run_wrote_and_did_not_note_is_removed_by_the_next(copy, whole):
+    job = copy / ".rtin" / "job.json"
+    job.write_text(json.dumps(json.loads(job.read_text()) | {"finished": False}))
+    (copy / "3" / "7").mkdir(exist_ok=True)
+    unknown = copy / "3" / "7" / "15.bin", copy / "3" / "7" / "15.json"
+    for path in unknown:
+        path.write_bytes(b"of an earlier raster")
+    users = copy / "3" / "7" / "notes.txt"
+    users.write_text("mine")
+    assert not any((whole / path.relative_to(copy)).exists() for path in unknown)
+    write(copy)
+    assert users.read_text() == "mine"
+    users.unlink()
+    assert contents(copy) == contents(whole)
+
+
+def test_an_update_that_ends_at_once_leaves_no_settled_borders_without_heights(
+    copy, whole, monkeypatch
+):
+    unlink = Path.unlink
+
+    def stop(path, **options):
+        if path.name.startswith("heights-"):
+            unlink(path)
+            raise KeyboardInterrupt
+        unlink(path, **options)
+
+    monkeypatch.setattr(Path, "unlink", stop)
+    with pytest.raises(KeyboardInterrupt):
+        write(copy, source="2", update=True)
+    monkeypatch.undo()
+    shutil.rmtree(copy / "2")
+    write(copy)
+    assert contents(copy) == contents(whole)
+
+
+def test_borders_of_the_largest_tiles_have_a_digest():
+    plan = Plan(lattice_of(), CELLS, ROOTS, tolerances(0, LAST, [4.0], None), 0.0)
+    tiling = plan.tiling(plan.lattice, LAST)
+    borders = dict.fromkeys(tiling.edges((0, 0)), 1 << 16384)
+    batch = tileset._Batch(Path(), Plain(), LAST, tiling, 1.0, b"", [(0, 0)], borders, {})
+    fewer = tileset._Batch(Path(), Plain(), LAST, tiling, 1.0, b"", [(0, 0)], {}, {})
+    heights = np.zeros((3, 3), np.float32)
+    assert tileset._key(batch, (0, 0), heights) != tileset._key(fewer, (0, 0), heights)
+
+
 def test_a_tile_of_another_length_is_made_anew(copy, whole):
     (copy / "2/1/0.bin").write_bytes(b"half")
     assert written_by(copy, lambda: write(copy))[0] == {"2/1/0.bin"}

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from math import pi
+from math import inf, pi
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +44,18 @@ def tolerances(
 
     Raises
     ------
+    TypeError
+        If they are no numbers.
     ValueError
-        If one is negative or NaN, or several are given, but not one for each zoom, or they grow
-        with the zoom.
+        If one is negative, infinite or NaN, or several are given, but not one for each zoom, or
+        they grow with the zoom.
     """
     zooms = range(first, last + 1)
-    given = [as_height("max_error", value) for value in given or ()]
+    if isinstance(given, str) or not isinstance(given, Iterable | None):
+        raise TypeError(f"max_error must be a list of tolerances, got {given!r}")
+    given = [as_height("max_error", value) for value in (() if given is None else given)]
+    if inf in given:
+        raise ValueError("max_error must be finite, got inf: file formats have no such number")
     if not given:
         return {zoom: default(zoom) for zoom in zooms}
     if len(given) == 1:

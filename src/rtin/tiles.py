@@ -136,7 +136,8 @@ class Tiling:
         If one is of the wrong kind.
     ValueError
         If ``cells`` is no power of two from 2 to 16384, ``max_error`` negative or NaN, ``shape``
-        empty, ``fill`` not finite, or the tiles don't go round the lattice's period.
+        empty, ``fill`` not finite, ``largest_cell`` no power of two up to ``cells``, or the tiles
+        don't go round the lattice's period.
     """
 
     lattice: HeightLattice
@@ -152,6 +153,11 @@ class Tiling:
         _require_shape(self.shape)
         if self.fill is not None and not isfinite(as_number("fill", self.fill)):
             raise ValueError(f"fill must be None or a finite height, got {self.fill}")
+        if self.largest_cell not in (None, *_powers_of_two(self.cells)):
+            raise ValueError(
+                f"largest_cell must be None or a power of two up to {self.cells}, "
+                f"got {self.largest_cell!r}"
+            )
         period = self.lattice.period
         if period is not None and period != self.cells * self.shape[1]:
             raise ValueError(
@@ -243,6 +249,10 @@ def _require_cells(cells: object) -> None:
         raise TypeError(f"cells must be a whole number, got {cells!r}")
     if not 2 <= cells <= _MOST_CELLS or cells & (cells - 1):
         raise ValueError(f"cells must be a power of two from 2 to {_MOST_CELLS}, got {cells}")
+
+
+def _powers_of_two(most: int) -> list[int]:
+    return [1 << exponent for exponent in range(most.bit_length())]
 
 
 def _require_shape(shape: Any) -> None:  # noqa: ANN401

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from math import atan, degrees, pi, sinh, sqrt
+from math import atan, degrees, isinf, pi, sinh, sqrt
 from typing import Any, Literal
+
+import numpy as np
 
 from rtin._options import as_height, require_word
 from rtin.grid import lattice_size
@@ -21,6 +23,7 @@ __all__ = ["TileJob", "raster_tiles", "world_tiles"]
 _CELLS_OF_WORLD = 64  # as CesiumJS takes terrain to have
 _CELLS_OF_RASTER = 1024
 _DEEPEST = 24
+_ABOUT = ("name", "description", "attribution", "version")
 # Of the tolerance: 15 bits of height within a tile take less, as a rule, and 24 bits much less.
 _ROUNDING = {"terrain": 1.0 / 32.0, "3dtiles": 1.0 / 256.0}
 _PIXELS = 0.5  # of error, for each pixel that CesiumJS lets terrain be off
@@ -120,14 +123,19 @@ def world_tiles(
 
     Raises
     ------
-    OSError, ValueError
-        If a raster can't be read or has no CRS, or an argument makes no sense.
+    OSError
+        If a raster can't be read.
+    TypeError, ValueError
+        If a raster has no CRS, or an argument makes no sense.
     """
     from rtin.io.lattices import native_zoom
 
     require_word("kind", kind, ("terrain", "3dtiles"))
     require_word("scheme", scheme, SCHEMES)
     names = _names(paths)
+    if not isinstance(normals, bool):
+        raise TypeError(f"normals must be True or False, got {normals!r}")
+    _require_about(about or {})
     the_scheme, raster = SCHEMES[scheme], {"band": band, "encoding": encoding}
     native = min(native_zoom(names, the_scheme, _as_cells(cells)), _DEEPEST)
     first, last = _zooms(zoom, native, _DEEPEST)
@@ -142,6 +150,7 @@ def world_tiles(
     plan = Plan(lattice, cells, the_scheme.roots, wanted, fill, largest, _ROUNDING[kind])
     if last > native:
         notes.append(f"zoom {native} has all that the rasters hold; finer ones add tiles only")
+    plan.tiling(lattice, last)  # looks at fill before any work
     output = _format(kind, scheme, plan, normals, about or {})
     settings = {
         "format": kind,
@@ -185,29 +194,39 @@ def raster_tiles(
 
     Raises
     ------
-    OSError, ValueError
-        If the raster can't be read, or an argument makes no sense.
+    OSError
+        If the raster can't be read.
+    TypeError, ValueError
+        If an argument makes no sense.
     """
     from rtin.io.lattices import RasterLattice
     from rtin.io.tile_meshes import PlainMeshes
 
+    require_word("extension", extension, ("glb", "obj", "ply", "stl"))
     names, raster = _names([path]), {"band": band, "encoding": encoding}
     lattice = RasterLattice(names[0], **raster)
     size = lattice_size((lattice.rows[1], lattice.cols[1]))
     cells = min(_as_cells(cells), size)
     deepest = (size // cells).bit_length() - 1
+    _require_zooms(zoom)
     first, last = _zooms((deepest if zoom[0] is None else zoom[0], zoom[1]), deepest, deepest)
     if last != deepest:
         raise ValueError(
             f"the last zoom of this raster in tiles of {cells} cells is {deepest}, where its "
             f"samples are, got {last}; to have fewer triangles, allow a larger error"
         )
-    if not max_error:
+    if np.size(max_error) == 0:
         raise ValueError("max_error is needed: the tolerance in units of the raster's heights")
     wanted = tolerances(first, last, max_error, lambda _: 0.0)
     plan = Plan(lattice, cells, 1, wanted, None)
     output = PlainMeshes.of_lattice(lattice, extension, last)
-    return _job(plan, output, {"format": extension, **raster}, names, [])
+    placed = {
+        "crs": output.placement.crs,
+        "transform": list(lattice.transform[:6]),
+        "origin": list(output.placement.origin),
+        "scale": list(output.placement.scale),
+    }
+    return _job(plan, output, {"format": extension, **placed, **raster}, names, [])
 
 
 def _job(
@@ -231,18 +250,32 @@ def _job(
 
 
 def _names(paths: Sequence[str | os.PathLike[str]]) -> list[str]:
-    if not paths:
+    if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable):
+        raise TypeError(f"paths must be a list of rasters, got {paths!r}")
+    names = [os.fspath(path) for path in paths]
+    if not names:
         raise ValueError("at least one raster is wanted, got none")
-    return [os.fspath(path) for path in paths]
+    return names
+
+
+def _require_about(about: Any) -> None:  # noqa: ANN401
+    """Refuse what is none of the entries of layer.json that nothing depends on."""
+    if not isinstance(about, dict) or not all(isinstance(text, str) for text in about.values()):
+        raise TypeError(f"about must be a dict of texts, got {about!r}")
+    for name in about:
+        require_word("an entry of about", name, _ABOUT)
 
 
 def _as_cells(cells: int) -> int:
+    if isinstance(cells, bool) or not isinstance(cells, int):
+        raise TypeError(f"cells must be a whole number, got {cells!r}")
     if cells < 2 or cells & (cells - 1) or cells > 1 << 14:
         raise ValueError(f"cells must be a power of two from 2 to 16384, got {cells}")
     return cells
 
 
 def _zooms(zoom: Zooms, native: int, deepest: int) -> tuple[int, int]:
+    _require_zooms(zoom)
     last = native if zoom[1] is None else zoom[1]
     first = min(zoom[0] or 0, last) if zoom[1] is None else zoom[0] or 0
     if not 0 <= first <= last <= deepest:
@@ -250,8 +283,18 @@ def _zooms(zoom: Zooms, native: int, deepest: int) -> tuple[int, int]:
     return first, last
 
 
+def _require_zooms(zoom: Zooms) -> None:
+    is_pair = isinstance(zoom, tuple | list) and len(zoom) == 2
+    if not is_pair or any(
+        isinstance(each, bool) or not isinstance(each, int | None) for each in zoom
+    ):
+        raise TypeError(f"zoom must be the first and the last, whole numbers or None, got {zoom!r}")
+
+
 def _cesium(scheme: Scheme, factor: float) -> Any:  # noqa: ANN401
     factor = as_height("error_factor", factor)
+    if isinf(factor):
+        raise ValueError("error_factor must be finite, got inf")
     return lambda zoom: factor * geometric_error(scheme, zoom)
 
 

@@ -293,7 +293,10 @@ def tileset_files(
     """
     levels = _levels(tiles)
     if not levels:
-        raise ValueError("a tileset needs at least one tile, got none")
+        raise ValueError(
+            "a tileset needs at least one tile, got none: no node of these zooms has a height; "
+            "take finer zooms, or rasters with heights"
+        )
     return _Writer(levels, tolerances, scheme, np.radians(bounds or _WORLD).tolist()).files()
 
 

@@ -152,15 +152,19 @@ def write_tileset(
     tell = tell or (lambda _: None)
     state = _opened(folder, settings)
     with _locked(state), _table(state / "tiles.sqlite") as table:
-        _start(state, table, settings, sources, update=update)
+        goes_on = _start(state, table, settings, sources, update=update)
         heard = shares(plan, lambda share: tell(_SETTLING_SHARE * share))
         levels = prepare(plan, state, executor=executor, tell=heard)
         levels = {zoom: level.with_tiles(output.roots(zoom)) for zoom, level in levels.items()}
         rasters = blake2b(json.dumps(sources).encode(), digest_size=8).digest()
         n_made, n_emptied = _make_all(folder, table, levels, output, rasters, executor, tell)
         n_removed = n_emptied + _remove_stale(folder, table, levels, output)
+        names = set()
         for name, content in output.index(partial(_drawn, table), plan.tolerances):
             _write(folder / name, content)
+            names.add(name)
+        if goes_on:
+            _remove_unknown(folder, table, levels, output, names)
         _write_job(state, settings, sources, finished=True)
         return Summary(_summaries(table, plan, levels, output), n_made, n_removed)
 
@@ -206,8 +210,11 @@ def _start(
     sources: dict[str, str],
     *,
     update: bool,
-) -> None:
-    """Note what is going to be made; drop what was derived from rasters as they no longer are."""
+) -> bool:
+    """Note what is going to be made; drop what was derived from rasters as they no longer are.
+
+    Returns whether an earlier run may have left files that are not of this tileset.
+    """
     job = _job(state)
     changed = job is not None and list(job["sources"].items()) != list(sources.items())
     if job is not None and changed and not update:
@@ -228,6 +235,7 @@ def _start(
         part.unlink(missing_ok=True)
     is_finished = job is not None and job["finished"] and not changed
     _write_job(state, settings, sources, finished=is_finished)
+    return job is not None and not is_finished
 
 
 def _job(state: Path) -> dict[str, Any] | None:
@@ -453,6 +461,23 @@ def _remove_stale(
         wanted = "DELETE FROM tiles WHERE zoom = ? AND row = ? AND col = ?"
         table.executemany(wanted, [place[:3] for place in stale])
     return sum(place[3] > 0 for place in stale)
+
+
+def _remove_unknown(
+    folder: Path,
+    table: sqlite3.Connection,
+    levels: dict[int, Level],
+    output: Format,
+    index: set[str],
+) -> None:
+    """Remove files named like tiles that are none: of an ended run, or led to by an old index."""
+    for zoom in levels:
+        drawn = (record for record in _records(table, zoom) if record.n_bytes > 0)
+        names = index.union(output.name(zoom, record.row, record.col) for record in drawn)
+        for path in folder.glob(f"{zoom}/*/*"):
+            is_known = path.relative_to(folder).as_posix() in names
+            if not is_known and path.stem.isdigit() and path.parent.name.isdigit():
+                path.unlink()
 
 
 def _summaries(
