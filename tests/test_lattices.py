@@ -457,6 +457,12 @@ def test_the_native_zoom_is_the_nearest_to_as_fine(tmp_path):
     assert native_zoom([path], MERCATOR, 64) == 9
 
 
+def test_around_a_pole_the_native_zoom_is_that_of_metres(tmp_path):
+    across = Affine(300, 0, -45000, 0, -300, 30000)
+    path = write(tmp_path / "pole.tif", rough(200, 300), across, "EPSG:3031")
+    assert native_zoom([path], GEOGRAPHIC, 64) == 10  # 305 m from node to node
+
+
 @pytest.mark.parametrize("dtype", ["int16", "float32", "float64", "int32"])
 def test_a_raster_lattice_is_what_read_grid_reads(tmp_path, dtype):
     heights = rough(40, 50).astype(dtype)

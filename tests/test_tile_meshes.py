@@ -60,11 +60,12 @@ def test_the_tiles_are_the_mesh_of_the_whole_raster(transform, shape):
 @everywhere
 @pytest.mark.parametrize("crs", [UTM, DEGREES, None])
 @pytest.mark.parametrize("extension", ["glb", "obj", "ply", "stl"])
-def test_files_hold_shared_vertices_at_one_place(tmp_path, transform, crs, extension):
+@pytest.mark.parametrize("local", [False, True])
+def test_files_hold_shared_vertices_at_one_place(tmp_path, transform, crs, extension, local):
     if crs is DEGREES:
         transform = Affine(*(value / 1e5 for value in transform[:6]))
     lattice = lattice_of(terrains.noise((17, 17)), transform, crs)
-    output = PlainMeshes.of_lattice(lattice, extension, 1)
+    output = PlainMeshes.of_lattice(lattice, extension, 1, local=local)
     places = defaultdict(set)
     n_vertices = 0
     for tile in tiles_of(lattice):

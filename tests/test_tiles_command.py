@@ -276,6 +276,8 @@ def dem(tmp_path_factory):
         (["--workers", "0"], 2, "Invalid value for '--workers'"),
         (["--band", "2"], 1, "band"),
         (["--format", "obj"], 1, "max_error is needed"),
+        (["--local"], 2, "--local goes with --format glb"),
+        (["--format", "glb", "--fill", "0"], 2, "--fill goes with --format terrain or 3dtiles"),
     ],
 )
 def test_options_that_make_no_sense_are_one_line(dem, tmp_path, options, code, wanted):

@@ -106,6 +106,10 @@ def tiles(
     geoid: _Geoid = None,
     no_normals: _NoNormals = False,
     attribution: _Attribution = None,
+    local: Annotated[
+        bool,
+        typer.Option("--local", help="Mesh files count x and y from the raster's middle."),
+    ] = False,
     update: Annotated[
         bool, typer.Option("--update", help="Make anew what a changed raster touches.")
     ] = False,
@@ -127,6 +131,7 @@ def tiles(
     """
     if len(paths) < 2:
         raise typer.BadParameter("at least one raster and the folder to fill are wanted")
+    _require_options_of(kind, local=local, fill=fill, geoid=geoid, attribution=attribution)
     if scheduler is not None:
         if workers is not None:
             raise typer.BadParameter("give --workers or --scheduler, not both")
@@ -135,6 +140,7 @@ def tiles(
     job_of = partial(
         _tile_job, dems, kind, zoom=_zooms_of(zoom),
         max_error=_numbers_of("--max-error", max_error), cells=cells, band=band, encoding=encoding,
+        local=local,
         world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
                "attribution": attribution},
     )  # fmt: skip
@@ -177,6 +183,7 @@ def _tile_job(
     band: int,
     encoding: str | None,
     world: dict[str, Any],
+    local: bool = False,
 ) -> TileJob:
     """Return the job that the options ask for."""
     from rtin.io.tile_jobs import raster_tiles, world_tiles
@@ -191,7 +198,16 @@ def _tile_job(
         return world_tiles(dems, kind, about=about, **world, **common)  # type: ignore[arg-type]
     if len(dems) > 1:
         raise ValueError(f"--format {kind} takes one raster, got {len(dems)}; make a VRT of them")
-    return raster_tiles(dems[0], kind, **common)
+    return raster_tiles(dems[0], kind, local=local, **common)
+
+
+def _require_options_of(kind: str, *, local: bool, **of_globe: str | None) -> None:
+    """Refuse options that the format would pass over."""
+    given = [name for name, value in of_globe.items() if value is not None]
+    if kind in ("terrain", "3dtiles") and local:
+        raise typer.BadParameter("--local goes with --format glb, obj, ply or stl")
+    if kind not in ("terrain", "3dtiles") and given:
+        raise typer.BadParameter(f"--{given[0]} goes with --format terrain or 3dtiles")
 
 
 def _zooms_of(text: str | None) -> tuple[int | None, int | None]:

@@ -170,6 +170,7 @@ def raster_tiles(
     max_error: Sequence[float],
     zoom: Zooms = (None, None),
     cells: int = _CELLS_OF_RASTER,
+    local: bool = False,
     band: int = 1,
     encoding: Any = None,  # noqa: ANN401
 ) -> TileJob:
@@ -189,6 +190,9 @@ def raster_tiles(
         samples. By default the last alone.
     cells : int
         Along a side of a tile, a power of two; a smaller raster is one tile.
+    local : bool
+        Whether the files count x and y from the raster's middle, as engines with 32-bit places
+        need; the origin is in tiles.json. By default they have those of the CRS.
     band, encoding
         As in ``rtin.read_grid``.
 
@@ -219,7 +223,7 @@ def raster_tiles(
         raise ValueError("max_error is needed: the tolerance in units of the raster's heights")
     wanted = tolerances(first, last, max_error, lambda _: 0.0)
     plan = Plan(lattice, cells, 1, wanted, None)
-    output = PlainMeshes.of_lattice(lattice, extension, last)
+    output = PlainMeshes.of_lattice(lattice, extension, last, local=local)
     placed = {
         "crs": output.placement.crs,
         "transform": list(lattice.transform[:6]),

@@ -65,11 +65,13 @@ class PlainMeshes:
     placement: Placement
 
     @classmethod
-    def of_lattice(cls, lattice: HeightLattice, extension: str, last: int) -> PlainMeshes:
-        """Return the format for the tiles of a raster."""
+    def of_lattice(
+        cls, lattice: HeightLattice, extension: str, last: int, *, local: bool = False
+    ) -> PlainMeshes:
+        """Return the format for the tiles of a raster; local ones count from its middle."""
         corners = _corners(lattice.transform, lattice.rows, lattice.cols)
         outline = TriangleMesh(corners, np.array([[0, 1, 2]], np.int32), lattice.crs)
-        placed = placement(outline, centred=extension == "stl")
+        placed = placement(outline, centred=local or extension == "stl")
         return cls(lattice.transform, lattice.crs, extension, last, placed)
 
     def name(self, zoom: int, row: int, col: int) -> str:
