@@ -274,7 +274,7 @@ def sample(page, lon, lat):
 
 @needs_cesium
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_cesium_draws_3d_tiles_and_stands_on_them(browser, tmp_path, scheme):
+def test_cesium_stands_on_3d_tiles(browser, tmp_path, scheme):
     grid, zoom, max_error = samples.jacksboro_fault(), {"geographic": 12, "mercator": 13}, 8.0
     write_raster(tmp_path / "fault.tif", grid)
     job = rtin.world_tiles(
@@ -293,13 +293,9 @@ def test_cesium_draws_3d_tiles_and_stands_on_them(browser, tmp_path, scheme):
         visit.page.evaluate("shown.maximumScreenSpaceError = 0.2")
         visit.page.wait_for_timeout(2500)  # it flies there
         visit.until("shown.tilesLoaded")
-        seen = canvas_pixels(visit.page)
         stood_on = sample_tiles(visit.page, lon, lat)
         visit.page.close()
     visit.assert_clean()
-    sky, ground = seen[:60].mean(), seen[180:280, 180:320]
-    assert ground.mean() > sky + 60
-    assert ground.mean(axis=2).std() > 6
     # What is sampled is the picture's depth, not the mesh itself.
     wanted = grid.heights_at(np.column_stack([lon, lat]))
     np.testing.assert_allclose(stood_on, wanted, rtol=0, atol=max_error + 0.5)
