@@ -7,6 +7,7 @@ depend on that: they don't depend on any executor.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -196,17 +197,26 @@ def _abandon(nannies: Iterable[Any]) -> None:
 
 @contextmanager
 def _connected(scheduler: str, patience: float) -> Iterator[Client]:
-    distributed = _distributed()
-    try:
-        client = distributed.Client(scheduler, timeout=patience, set_as_default=False)
-    except (OSError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+    client = _client_or_reason(scheduler, patience)
+    if isinstance(client, str):
+        # A client that failed stops its loop when it is collected, with a lock that the next one
+        # takes to start: were it collected meanwhile, both would wait for ever.
+        gc.collect()
         raise ConnectionError(
-            f"no Dask scheduler can be reached at {scheduler}: {reason}; "
+            f"no Dask scheduler can be reached at {scheduler}: {client}; "
             "give its address as it prints it, such as tcp://10.0.0.1:8786"
-        ) from None
+        )
     with client:
         yield client
+
+
+def _client_or_reason(scheduler: str, patience: float) -> Client | str:
+    """Return a client of a scheduler, or why there is none."""
+    try:
+        client: Client = _distributed().Client(scheduler, timeout=patience, set_as_default=False)
+        return client
+    except (OSError, ValueError) as error:
+        return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def _require_this_version(client: Client, scheduler: str, patience: float) -> None:
