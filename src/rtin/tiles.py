@@ -148,7 +148,7 @@ class Tiling:
     largest_cell: int | None = None
 
     def __post_init__(self) -> None:
-        _require_cells(self.cells)
+        require_cells(self.cells)
         as_height("max_error", self.max_error)
         _require_shape(self.shape)
         if self.fill is not None and not isfinite(as_number("fill", self.fill)):
@@ -176,7 +176,7 @@ class Tiling:
         TypeError, ValueError
             As ``Tiling`` does; ValueError if there are fewer than 2 × 2 nodes.
         """
-        _require_cells(cells)
+        require_cells(cells)
         n_rows, n_cols = lattice.rows[1], lattice.cols[1]
         if min(n_rows, n_cols) < 2:
             raise ValueError(
@@ -244,7 +244,8 @@ class Tiling:
         )
 
 
-def _require_cells(cells: object) -> None:
+def require_cells(cells: object) -> None:
+    """Raise TypeError or ValueError where that can't be the number of cells along a tile's side."""
     if isinstance(cells, bool | np.bool_) or not isinstance(cells, int | np.integer):
         raise TypeError(f"cells must be a whole number, got {cells!r}")
     if not 2 <= cells <= _MOST_CELLS or cells & (cells - 1):

@@ -16,7 +16,7 @@ from rtin.grid import lattice_size
 from rtin.io.tileset import Format, Summary, write_tileset
 from rtin.pyramid import Plan, geometric_error, tolerances
 from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES, Scheme
-from rtin.tiles import HeightLattice
+from rtin.tiles import HeightLattice, require_cells
 
 __all__ = ["TileJob", "raster_tiles", "world_tiles"]
 
@@ -132,12 +132,13 @@ def world_tiles(
 
     require_word("kind", kind, ("terrain", "3dtiles"))
     require_word("scheme", scheme, SCHEMES)
+    require_cells(cells)
     names = _names(paths)
     if not isinstance(normals, bool):
         raise TypeError(f"normals must be True or False, got {normals!r}")
     _require_about(about or {})
     the_scheme, raster = SCHEMES[scheme], {"band": band, "encoding": encoding}
-    native = min(native_zoom(names, the_scheme, _as_cells(cells)), _DEEPEST)
+    native = min(native_zoom(names, the_scheme, cells), _DEEPEST)
     first, last = _zooms(zoom, native, _DEEPEST)
     wanted = tolerances(first, last, max_error, _cesium(the_scheme, error_factor))
     if kind == "terrain":
@@ -210,7 +211,8 @@ def raster_tiles(
     names, raster = _names([path]), {"band": band, "encoding": encoding}
     lattice = RasterLattice(names[0], **raster)
     size = lattice_size((lattice.rows[1], lattice.cols[1]))
-    cells = min(_as_cells(cells), size)
+    require_cells(cells)
+    cells = min(cells, size)
     deepest = (size // cells).bit_length() - 1
     _require_zooms(zoom)
     first, last = _zooms((deepest if zoom[0] is None else zoom[0], zoom[1]), deepest, deepest)
@@ -268,14 +270,6 @@ def _require_about(about: Any) -> None:  # noqa: ANN401
         raise TypeError(f"about must be a dict of texts, got {about!r}")
     for name in about:
         require_word("an entry of about", name, _ABOUT)
-
-
-def _as_cells(cells: int) -> int:
-    if isinstance(cells, bool) or not isinstance(cells, int):
-        raise TypeError(f"cells must be a whole number, got {cells!r}")
-    if cells < 2 or cells & (cells - 1) or cells > 1 << 14:
-        raise ValueError(f"cells must be a power of two from 2 to 16384, got {cells}")
-    return cells
 
 
 def _zooms(zoom: Zooms, native: int, deepest: int) -> tuple[int, int]:
