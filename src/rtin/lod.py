@@ -82,6 +82,7 @@ class _Walk(NamedTuple):
     """Vertices from the coarsest on, and what ``_kernels.lod.walk`` says of each."""
 
     places: NDArray[np.int32]
+    z: _Floats
     around: NDArray[np.int32]
     slots: NDArray[np.uint8]
     weights: _Floats
@@ -397,7 +398,7 @@ class LevelOfDetail:
                 search.go_coarser()
                 continue
             n_coarsest = len(self._triangles(walked, math.inf))
-            tolerance = tolerance_within(self._heights, *walked, n_coarsest, budget)
+            tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
             search.go_finer(len(walked.weights) / budget)
@@ -415,7 +416,7 @@ class LevelOfDetail:
         """Return the triangles of the vertices above a tolerance, numbered as in the walk."""
         from rtin._kernels.lod import triangles_of
 
-        return np.asarray(triangles_of(self._heights, *walked, tolerance, self._flip))
+        return np.asarray(triangles_of(*walked, tolerance, self._flip))
 
     def _mesh_of(self, walked: _Walk, tolerance: float) -> tuple[TriangleMesh, _Floats, _Floats]:
         """Return the mesh of a tolerance, what it morphs from, and what its vertices weigh."""
@@ -426,7 +427,7 @@ class LevelOfDetail:
         vertices, coarser = np.empty((len(numbers), 3)), np.empty(len(numbers))
         transform, crs = self._place
         numbers_of_transform = np.array(tuple(transform)[:6], np.float64)
-        fill_vertices(self._heights, numbers_of_transform, *walked[:3], numbers, vertices, coarser)
+        fill_vertices(numbers_of_transform, *walked[:4], numbers, vertices, coarser)
         return TriangleMesh(vertices, triangles, crs), coarser, walked.weights[numbers]
 
 
