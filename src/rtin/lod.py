@@ -89,14 +89,14 @@ class _Walk(NamedTuple):
 
 
 class _View(NamedTuple):
-    """What the walk weighs with: nothing at all where heights count."""
+    """What the walk weighs with: ``eye`` and ``planes`` of ``_kernels.lod.walk``."""
 
     eye: _Floats
     planes: _Planes
 
 
 _NO_PLANES = np.empty((0, 4))
-_NOBODY = _View(np.empty(0), _NO_PLANES)
+_NOBODY = _View(np.zeros(7), _NO_PLANES)
 
 
 class LevelOfDetail:
@@ -389,7 +389,7 @@ class LevelOfDetail:
         """
         from rtin._kernels.lod import tolerance_within
 
-        kind = bool(view.eye.size)
+        kind = view is not _NOBODY
         search = _Search(self._guesses[kind])
         most = 2 * budget + _SPARE
         while True:
@@ -401,7 +401,7 @@ class LevelOfDetail:
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
-            search.go_finer(len(walked.weights) / budget)
+            search.go_finer(2 * len(walked.weights) / budget)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
             self._guesses[kind] = max(_A_BIT_FINER * tolerance, _FINEST)
@@ -509,7 +509,7 @@ class _Search:
     def go_finer(self, share: float) -> None:
         """Go on after a walk that found that share of the budget."""
         self._too_coarse = self.tolerance
-        wanted = self.tolerance * min(max(share, 1.0 / 64.0), 0.9)
+        wanted = self.tolerance * min(max(_A_BIT_FINER * share, 1.0 / 64.0), _A_BIT_FINER)
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:

@@ -315,6 +315,18 @@ def renew_own(heights, layout, level, kind, first, end, left, right, own, wholes
 @inlined
 def unit_bounds(heights, row, col):
     """What ``bounds`` would say of an edge vertex of spacing 1, not rounded."""
+    if 0 < row < heights.shape[0] - 1 and 0 < col < heights.shape[1] - 1:
+        height, up, down = heights[row, col], heights[row - 1, col], heights[row + 1, col]
+        left, right = heights[row, col - 1], heights[row, col + 1]
+        if height + up + down + left + right == height + up + down + left + right:
+            a, b = (up, down) if row & 1 else (left, right)
+            return abs((np.float64(a) + b) / 2 - height), np.float64(height), np.float64(height)
+    return unit_bounds_at_voids(heights, row, col)
+
+
+@jit
+def unit_bounds_at_voids(heights, row, col):
+    """The same where one of the samples around it may be a void."""
     height, error = np.nan, 0.0
     if has_height(heights, row, col):
         height = np.float64(heights[row, col])
@@ -454,7 +466,7 @@ def reach_of(level, kind):
     return (3 << level) - 2 if kind == CENTRE else (2 << level) - 2
 
 
-@inlined
+@jit
 def is_outside(planes, row, col, reach, low, high):
     """Whether a box of samples lies outside one of the planes wholly."""
     middle, half = (low + high) / 2, (high - low) / 2
@@ -466,36 +478,13 @@ def is_outside(planes, row, col, reach, low, high):
     return False
 
 
-@inlined
-def distance_to(eye, row, col, reach, low, high):
-    """Distance from the eye to a box of samples, on the ground and up."""
-    down = max(abs(row - eye[0]) - reach, 0.0) * eye[3]
-    across = max(abs(col - eye[1]) - reach, 0.0) * eye[4]
-    up = max(low - eye[2], eye[2] - high, 0.0)
-    return np.sqrt(down * down + across * across + up * up)
-
-
-@inlined
-def weight_of(heights, layout, bounds, eye, planes, level, kind, row, col):
-    """How large the error without a vertex and its descendants may be: as a height, or as seen.
-
-    ``eye`` holds row, column and height of the eye; what a row and a column are long, at least;
-    what either is, at most; and the pixels of a height of 1 at a distance of 1. It is empty where
-    heights count. Negative where nothing is seen.
-    """
-    error, low, high = bounds_of(heights, layout, bounds, level, kind, row, col)
-    if eye.size == 0:
-        return np.inf if error < 0.0 else error
-    if error == 0.0:
-        return 0.0
-    reach = reach_of(level, kind)
-    if is_outside(planes, row, col, reach + 1e-6, low, high):
-        return -1.0
-    if error < 0.0:
-        width = (2 << level) * eye[5]
-        error = max(-error, width * (np.sqrt(2.0) if kind == CENTRE else 1.0))
-    distance = distance_to(eye, row, col, reach + 1e-6, low, high)
-    return error * eye[6] / distance if distance > 0.0 else np.inf
+@jit
+def as_seen(error, scale, down, across, up):
+    """An error in pixels, at the distance of those three parts."""
+    distance = np.sqrt(down * down + across * across + up * up)
+    if distance > 0.0:
+        return error * scale / distance
+    return np.inf if error > 0.0 else 0.0
 
 
 @inlined
@@ -552,83 +541,140 @@ def height_at(heights, row, col):
 
 
 @jit
+def descend(
+    heights,
+    layout,
+    bounds,
+    eye,
+    planes,
+    tolerance,
+    level,
+    kind,
+    first,
+    end,
+    places,
+    z,
+    around,
+    slots,
+    weights,
+    n,
+):
+    """Append the children, of that level and kind, of the vertices from first to before end.
+
+    Arrays are read here and not in small functions: to count references to them takes longer.
+    """
+    size = 1 << len(layout)
+    start, width, n_rows = layout[level, kind], layout[level, kind + 1], layout[level, kind + 2]
+    row_shift, col_shift = level + 1 if kind == CENTRE else level, level + 1
+    eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
+    row_length, col_length = eye[3], eye[4]
+    breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
+    reach = reach_of(level, kind) + 1e-6
+    turn = kind == CENTRE
+    first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
+    table = tabled(places, first, end, level)
+    for number in range(first, end):
+        row, col = places[number, 0], places[number, 1]
+        is_on_border = kind == EDGE and (row >> level == 1 or col >> level == 1)
+        for turned in range(4 if is_on_border else 2):
+            slot = (turned + first_slot) & 3
+            row_step, col_step = step_of(kind, slot)
+            u_row, u_col = row + (row_step << level), col + (col_step << level)
+            if not is_inside(u_row, u_col, size):
+                continue
+            if u_row >> row_shift >= n_rows or u_col >> col_shift >= width:
+                continue
+            o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
+            weight, other = weights[number], -1
+            if is_inside(o_row, o_col, size):
+                other = find(table, places, level, o_row, o_col) if turned < 2 else -1
+                if other < 0:
+                    continue
+                weight = min(weight, weights[other])
+            if kind == EDGE and level == 0:
+                error, low, high = unit_bounds(heights, u_row, u_col)
+            else:
+                entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
+                error = np.float64(bounds[entry, ERROR])
+                low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+            if scale == 0.0:
+                weight = min(weight, np.inf if error < 0.0 else error)
+            else:
+                down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
+                across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
+                up = max(low - eye_z, eye_z - high, 0.0)
+                error = error if error >= 0.0 else max(-error, breadth)
+                weight = min(weight, as_seen(error, scale, down, across, up))
+            if not weight > tolerance:
+                continue
+            if planes.shape[0] > 0 and is_outside(planes, u_row, u_col, reach, low, high):
+                continue
+            places[n, 0], places[n, 1] = u_row, u_col
+            z[n] = height_at(heights, u_row, u_col)
+            around[n, slot] = other
+            around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
+            around[n, (slot + 2) & 3] = number
+            around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
+            slots[n], weights[n] = slot, weight
+            n += 1
+    return n
+
+
+@jit
 def walk(heights, layout, bounds, eye, planes, tolerance, most):
     """Every vertex that weighs more than a tolerance, from the coarsest on; at most about ``most``.
 
-    Of each vertex: its place; the numbers of the four corners around it, clockwise from north or
-    north-west, -1 where that is outside; the slot of its second apex among them, which is its own
-    slot around the first; what it weighs. The first four are the lattice's corners.
+    What a vertex weighs is how large the error without it and its descendants may be. ``eye`` holds
+    row, column and height of the eye; what a row and a column are long, at least; what either is,
+    at most; and the pixels of a height of 1 at a distance of 1, 0 where heights themselves count.
+    What lies outside a plane weighs nothing.
+
+    Of each vertex: its place and height; the numbers of the four corners around it, clockwise from
+    north or north-west, -1 where that is outside; the slot of its second apex among them, which is
+    its own slot around the first; what it weighs. The first four are the lattice's corners.
     """
     size = 1 << len(layout)
-    places = np.empty((1024, 2), np.int32)
-    z = np.empty(1024, np.float64)
-    around = np.empty((1024, 4), np.int32)
-    slots = np.empty(1024, np.uint8)
+    places, z = np.empty((1024, 2), np.int32), np.empty(1024, np.float64)
+    around, slots = np.empty((1024, 4), np.int32), np.empty(1024, np.uint8)
     weights = np.empty(1024, np.float64)
     around[:4], slots[:4], weights[:4] = -1, 0, np.inf
     for corner in range(4):
         places[corner, 0], places[corner, 1] = (corner >> 1) * size, (corner & 1) * size
         z[corner] = height_at(heights, places[corner, 0], places[corner, 1])
+    # The roots' apexes are the corners in the north-east and the south-west.
     around[2, 0], around[2, 1], around[1, 2], around[1, 3] = 0, 3, 3, 0
-    n = 4
-    top = len(layout) - 1
-    if top >= 0:
-        weight = weight_of(heights, layout, bounds, eye, planes, top, CENTRE, size // 2, size // 2)
-        if weight > tolerance:
-            places[4, 0], places[4, 1] = size // 2, size // 2
-            z[4] = height_at(heights, size // 2, size // 2)
-            around[4, 0], around[4, 1], around[4, 2], around[4, 3] = 0, 1, 3, 2
-            slots[4], weights[4], n = 1, weight, 5
-    first = 4
-    for generation in range(1, 2 * len(layout)):
-        level = top - generation // 2
+    first, end, n = 1, 3, 4
+    for generation in range(2 * len(layout)):
+        level = len(layout) - 1 - generation // 2
         kind = EDGE if generation & 1 else CENTRE
-        end = n
-        if first == end or n > most:
-            break
         n_needed = n + 4 * (end - first)
         if n_needed > slots.size:
             larger = max(n_needed, 2 * slots.size)
             places, around = with_rows(places, n, larger), with_rows(around, n, larger)
             slots, weights = with_room(slots, larger), with_room(weights, larger)
             z = with_room(z, larger)
-        table = tabled(places, first, end, level)
-        turn = kind == CENTRE
-        first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
-        for number in range(first, end):
-            row, col = places[number, 0], places[number, 1]
-            is_on_border = kind == EDGE and (row >> level == 1 or col >> level == 1)
-            for turned in range(4 if is_on_border else 2):
-                slot = (turned + first_slot) & 3
-                row_step, col_step = step_of(kind, slot)
-                u_row, u_col = row + (row_step << level), col + (col_step << level)
-                o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
-                if not is_inside(u_row, u_col, size):
-                    continue
-                other = -1
-                if is_inside(o_row, o_col, size):
-                    if turned > 1:
-                        continue
-                    other = find(table, places, level, o_row, o_col)
-                    if other < 0:
-                        continue
-                if not holds(layout, level, kind, u_row, u_col):
-                    continue
-                weight = weight_of(heights, layout, bounds, eye, planes, level, kind, u_row, u_col)
-                weight = min(weight, weights[number])
-                if other >= 0:
-                    weight = min(weight, weights[other])
-                if not weight > tolerance:
-                    continue
-                places[n, 0], places[n, 1] = u_row, u_col
-                z[n] = height_at(heights, u_row, u_col)
-                around[n, slot] = other
-                around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
-                around[n, (slot + 2) & 3] = number
-                around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
-                slots[n], weights[n] = slot, weight
-                n += 1
-        first = end
+        n_before = n
+        n = descend(
+            heights,
+            layout,
+            bounds,
+            eye,
+            planes,
+            tolerance,
+            level,
+            kind,
+            first,
+            end,
+            places,
+            z,
+            around,
+            slots,
+            weights,
+            n,
+        )
+        first, end = n_before, n
+        if first == end or n > most:
+            break
     return places[:n], z[:n], around[:n], slots[:n], weights[:n]
 
 
