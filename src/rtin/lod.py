@@ -134,6 +134,7 @@ class LevelOfDetail:
     def __init__(self, grid: Grid) -> None:
         self._grid: Grid | None = require_grid(grid)
         self._heights = grid.heights
+        self._changed: NDArray[np.floating[Any]] | None = None
         self._place = (grid.transform, grid.crs)
         self._flip = grid.transform.determinant > 0.0
         self._layout = _layout(grid.shape)
@@ -286,9 +287,12 @@ class LevelOfDetail:
         top, bottom = _span("rows", rows, self._heights.shape[0])
         left, right = _span("cols", cols, self._heights.shape[1])
         patch = _as_patch(heights, (bottom - top, right - left), self._heights)
-        if not self._heights.flags.writeable:
-            self._heights = self._heights.copy()
-        self._heights[top:bottom, left:right] = patch
+        if self._changed is None:
+            self._changed = self._heights.copy()
+            # The kernels get a view to read only, as of a grid: they are compiled for those.
+            self._heights = self._changed.view()
+            self._heights.flags.writeable = False
+        self._changed[top:bottom, left:right] = patch
         self._grid = None
         for level, kind in _generations(self._layout):
             spacing = 1 << level
