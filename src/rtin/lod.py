@@ -43,6 +43,7 @@ _FINEST = 1e-30  # tolerance above 0 to look for
 
 _Floats = NDArray[np.float64]
 _Planes = NDArray[np.float64]
+_Part = tuple[int, int, int, int]  # first and end row, first and end column or place
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +152,8 @@ class LevelOfDetail:
         self._guesses = [1.0, 1.0]  # tolerances for a budget: of heights, of pixels
         for level, kind in _generations(self._layout):
             _, width, rows = self._layout[level, kind : kind + 3]
-            bands = _parallel.row_bands(int(rows))
-            self._renew(level, kind, [(*band, 0, int(width)) for band in bands])
+            bands = [(*band, 0, int(width)) for band in _parallel.row_bands(int(rows))]
+            self._renew(level, kind, (0, grid.shape[0], 0, grid.shape[1]), bands, bands)
 
     @property
     def grid(self) -> Grid:
@@ -294,31 +295,30 @@ class LevelOfDetail:
             self._heights.flags.writeable = False
         self._changed[top:bottom, left:right] = patch
         self._grid = None
+        changed = (top, bottom, left, right)
         for level, kind in _generations(self._layout):
-            spacing = 1 << level
-            near = _near(self._layout, level, kind, (top, bottom, left, right), spacing)
-            reach = (3 if kind == _CENTRE else 2) * spacing
-            far = _near(self._layout, level, kind, (top, bottom, left, right), reach)
-            self._renew(level, kind, [near], [far])
+            near = _near(self._layout, level, kind, changed, 1 << level)
+            far = _near(self._layout, level, kind, changed, 3 << level)
+            self._renew(level, kind, changed, [near], [far])
 
     def _renew(
         self,
         level: int,
         kind: int,
-        parts: list[tuple[int, int, int, int]],
-        parts_of_bounds: list[tuple[int, int, int, int]] | None = None,
+        patch: _Part,
+        parts: list[_Part],
+        parts_of_bounds: list[_Part],
     ) -> None:
-        """Renew parts of a generation: their own errors, and bounds of these parts or others."""
+        """Renew parts of a generation: own errors where a patch matters, and bounds."""
         from rtin._kernels.lod import renew_bounds, renew_own
 
-        common = (self._heights, self._layout)
-        arrays = (self._own, self._wholes)
-        _parallel.run(renew_own, [(*common, level, kind, *part, *arrays) for part in parts])
+        common, found = (self._heights, self._layout), (self._own, self._wholes)
+        _parallel.run(renew_own, [(*common, patch, level, kind, *part, *found) for part in parts])
         _parallel.run(
             renew_bounds,
             [
-                (*common, GROWTH, level, kind, *part, *arrays, self._bounds)
-                for part in parts_of_bounds or parts
+                (*common, GROWTH, level, kind, *part, *found, self._bounds)
+                for part in parts_of_bounds
             ],
         )
 
@@ -560,9 +560,7 @@ def _generations(layout: NDArray[np.int64]) -> list[tuple[int, int]]:
     return [(level, kind) for level in range(len(layout)) for kind in (_EDGE, _CENTRE)][1:]
 
 
-def _near(
-    layout: NDArray[np.int64], level: int, kind: int, patch: tuple[int, int, int, int], reach: int
-) -> tuple[int, int, int, int]:
+def _near(layout: NDArray[np.int64], level: int, kind: int, patch: _Part, reach: int) -> _Part:
     """Return the rows and places of a generation within reach of a patch, and a few more."""
     top, bottom, left, right = patch
     shift = level + 1 if kind == _CENTRE else level
