@@ -401,7 +401,8 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            n_coarsest = len(self._triangles(walked, math.inf))
+            corners = _Walk(*(of_all[:4] for of_all in walked))
+            n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
@@ -519,7 +520,7 @@ class _Search:
     def _go(self, tolerance: float) -> None:
         if self._too_coarse < self._too_fine * _NARROW:  # many weigh the same: take them all
             self.is_narrow = True
-            tolerance = self._too_fine
+            tolerance, self._too_fine = self._too_fine, 0.0
         self.tolerance = tolerance if tolerance >= _FINEST else 0.0
 
 
