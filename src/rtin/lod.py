@@ -39,7 +39,7 @@ _FINITE = float(np.finfo(np.float64).max)
 _SPARE = 256  # vertices more than a budget's to walk over
 _A_BIT_FINER = 0.9  # than the last tolerance, to exceed the budget at the first walk
 _NARROW = 1.01
-_FINEST = 1e-30  # tolerance above 0 to look for
+_FINEST, _COARSEST = 1e-30, 1e300  # tolerances to look for
 
 _Floats = NDArray[np.float64]
 _Planes = NDArray[np.float64]
@@ -508,7 +508,7 @@ class _Search:
 
     def go_coarser(self) -> None:
         self._too_fine = self.tolerance
-        wanted = 2.0 * self.tolerance
+        wanted = 4.0 * self.tolerance
         self._go(min(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def go_finer(self, share: float) -> None:
@@ -518,7 +518,8 @@ class _Search:
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:
-        if self._too_coarse < self._too_fine * _NARROW:  # many weigh the same: take them all
+        if min(self._too_coarse, _COARSEST) < self._too_fine * _NARROW:
+            # Many weigh the same, as all that voids demand do: walk over all of them.
             self.is_narrow = True
             tolerance, self._too_fine = self._too_fine, 0.0
         self.tolerance = tolerance if tolerance >= _FINEST else 0.0
