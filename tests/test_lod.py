@@ -298,3 +298,168 @@ def outside_places(grid, whole):
         for col in range(-1, size + 2)
         if not (0 <= row < grid.shape[0] and 0 <= col < grid.shape[1] and whole[row, col])
     ]
+
+
+# --- more and fewer vertices --------------------------------------------------------------------
+
+
+@given(scenes(), st.floats(0.0, 1.0))
+def test_a_smaller_pixel_error_keeps_a_superset(scene, share):
+    grid, view, pixel_error = scene
+    assume(not grid.has_voids)
+    lod = rtin.LevelOfDetail(grid)
+    finer, coarser = (
+        vertex_set(lod.mesh(pixel_error=e, **view.options), grid)
+        for e in (share * pixel_error, pixel_error)
+    )
+    assert finer >= coarser
+
+
+@given(grids(), terrains.tolerances, terrains.tolerances)
+def test_a_smaller_tolerance_keeps_a_superset(grid, one, other):
+    lod = rtin.LevelOfDetail(grid)
+    finer, coarser = (
+        vertex_set(lod.mesh(max_error=e), grid) for e in sorted([one, other])
+    )
+    assert finer >= coarser
+
+
+@given(scenes())
+def test_a_frustum_only_leaves_vertices_out(scene):
+    grid, view, pixel_error = scene
+    assume(not grid.has_voids and view.frustum is not None)
+    lod = rtin.LevelOfDetail(grid)
+    all_round = lod.mesh(pixel_error=pixel_error, **replace(view, frustum=None).options)
+    within = lod.mesh(pixel_error=pixel_error, **view.options)
+    assert vertex_set(within, grid) <= vertex_set(all_round, grid)
+
+
+@given(scenes(), st.sampled_from([2.0, 3.0, 0.25]))
+def test_only_pixels_for_a_length_at_a_distance_count(scene, factor):
+    grid, view, pixel_error = scene
+    lod = rtin.LevelOfDetail(grid)
+    mesh = mesh_or_none(lod, pixel_error=pixel_error, **view.options)
+    larger = replace(view, height=view.height * factor)
+    other = mesh_or_none(lod, pixel_error=pixel_error * factor, **larger.options)
+    assert mesh is other is None or same_bytes(mesh, other)
+
+
+def rolling(shape=(65, 65), noise=0.3, **options):
+    """Hills with all sizes of detail, in float64: no two vertices weigh the same."""
+    row, col = np.indices(shape)
+    hills = 12.0 * np.sin(row / 11.0) * np.cos(col / 14.0) + 3.0 * np.sin((row + 2 * col) / 5.0)
+    fine = np.random.default_rng(3).normal(0.0, noise, shape)
+    return rtin.Grid(np.where(terrains.HOLES[options.pop("holes", "none")](shape), np.nan,
+                              np.float32(hills + fine)), **options)  # fmt: skip
+
+
+def test_what_is_far_or_behind_is_coarser():
+    grid = rolling()
+    lod = rtin.LevelOfDetail(grid)
+    eye = (2.0, -32.0, 30.0)  # over the west, looking east
+    view = View(eye, frustum=rtin.frustum(eye, (64.0, -32.0, 0.0)))
+    mesh = lod.mesh(pixel_error=8.0, **view.options)
+    assert mesh.n_vertices < 0.5 * lod.mesh(eye, pixel_error=8.0).n_vertices
+    x = lod.mesh(eye, pixel_error=12.0).vertices[:, 0]
+    assert (x < 32.0).sum() > 1.5 * (x >= 32.0).sum()
+
+
+@pytest.mark.parametrize("tolerance", [0.3, 1.0, 4.0])
+def test_takes_few_vertices_more_than_the_least_mesh(tolerance):
+    grid = rtin.Grid(rtin.samples.jacksboro_fault().heights[:257, :257])
+    least = rtin.coarsen(grid, max_error=10.0 * tolerance).n_vertices
+    mesh = rtin.LevelOfDetail(grid).mesh(max_error=10.0 * tolerance)
+    assert least <= mesh.n_vertices < 1.25 * least
+
+
+def test_a_lossless_mesh_has_no_error_at_all():
+    for heights in (terrains.noise((17, 23)), terrains.noise((17, 23)) / 3.0):
+        grid = rtin.Grid(heights)
+        lod = rtin.LevelOfDetail(grid)
+        for mesh in (lod.mesh(max_error=0), lod.mesh((5.0, 5.0, 99.0), pixel_error=0)):
+            assert rtin.vertical_error(mesh, grid).max == 0.0
+
+
+def test_flat_terrain_needs_two_triangles():
+    lod = rtin.LevelOfDetail(rtin.Grid(np.full((33, 33), 7.0)))
+    for options in ({"max_error": 0}, {"eye": (3, -3, 8)}, {"max_triangles": 999}):
+        assert lod.mesh(**options).n_triangles == 2
+
+
+# --- the mesh as a whole ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("transform", TRANSFORMS)
+@pytest.mark.parametrize("holes", terrains.HOLES)
+def test_is_a_right_mesh_under_every_transform(transform, holes):
+    shape = (17, 23)
+    heights = terrains.pierced(terrains.waves(shape), terrains.HOLES[holes](shape))
+    grid = rtin.Grid(heights, TRANSFORMS[transform])
+    lod = rtin.LevelOfDetail(grid)
+    eye = (*(grid.transform @ (4.0, 5.0)), 60.0)
+    frame = lod.frame(eye, pixel_error=30.0 * size_of_cell(grid))
+    for mesh in (lod.mesh(max_error=4.0), frame.mesh, frame.morphed):
+        validity.check(mesh)
+        assert_has_no_t_junction(mesh, grid)
+        assert (mesh.signed_areas() > 0.0).all()
+        at = np.array(naive.places(mesh, grid))
+        x, y = grid.transform @ (at[:, 1].astype(float), at[:, 0].astype(float))
+        np.testing.assert_allclose(mesh.vertices[:, :2], np.column_stack([x, y]), rtol=1e-14)
+        a, b, apex = (at[corner] for corner in mesh.triangles.T)
+        legs = a - apex, b - apex
+        assert ((legs[0] * legs[1]).sum(axis=1) == 0).all()
+        assert ((legs[0] ** 2).sum(axis=1) == (legs[1] ** 2).sum(axis=1)).all()
+        if mesh is not frame.morphed:
+            np.testing.assert_array_equal(mesh.vertices[:, 2], grid.heights[tuple(at.T)])
+
+
+def assert_has_no_t_junction(mesh, grid):
+    """No vertex lies inside an edge: looked for at all places of the lattice on every edge."""
+    at = np.array(naive.places(mesh, grid))
+    vertices = set(map(tuple, at.tolist()))
+    edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    for a, b in at[np.unique(edges, axis=0)]:
+        n_steps = np.abs(b - a).max()
+        step = (b - a) // n_steps
+        assert not any(tuple((a + k * step).tolist()) in vertices for k in range(1, n_steps))
+
+
+@pytest.mark.parametrize("shape", [(65, 65), (40, 65), (50, 33)], ids=str)
+def test_without_voids_is_a_disc_bounded_by_the_raster(shape):
+    grid = rolling(shape)
+    lod = rtin.LevelOfDetail(grid)
+    eye = (30.0, -20.0, 25.0)
+    planes = rtin.frustum(eye, (0.0, 0.0, 0.0))
+    for mesh in (lod.mesh(max_error=1.5), lod.mesh(eye, max_triangles=900, frustum=planes)):
+        edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        edges, counts = np.unique(edges, axis=0, return_counts=True)
+        assert counts.max() == 2
+        assert mesh.n_vertices - len(edges) + mesh.n_triangles == 1
+    mesh = lod.mesh(max_error=1.5)
+    assert mesh.signed_areas().sum() == pytest.approx((shape[0] - 1) * (shape[1] - 1), rel=1e-12)
+
+
+def test_vertices_come_coarsest_first():
+    grid = rolling()
+    at = naive.places(rtin.LevelOfDetail(grid).mesh((9.0, -9.0, 40.0), pixel_error=5.0), grid)
+    spacings = [naive.level_spacing(place, 64) for place in at]
+    assert spacings == sorted(spacings, reverse=True)
+
+
+def test_carries_the_crs():
+    grid = rolling((9, 9), crs="EPSG:2056")
+    frame = rtin.LevelOfDetail(grid).frame((1.0, 1.0, 1.0))
+    assert frame.mesh.crs == frame.morphed.crs == grid.crs
+
+
+# --- budgets ------------------------------------------------------------------------------------
+
+
+def assert_is_tight(lod, mesh, budget, tolerance, **options):
+    """The mesh is that of its tolerance, and just below it there are too many triangles."""
+    (name,) = {"pixel_error", "max_error"} - options.keys() if False else (options.pop("name"),)
+    assert mesh.n_triangles <= budget
+    assert same_bytes(mesh, lod.mesh(**{name: tolerance}, **options))
+    if tolerance > 0.0:
+        finer = lod.mesh(**{name: np.nextafter(tolerance, 0.0)}, **options)
+        assert finer.n_triangles > budget
