@@ -28,6 +28,7 @@ from rtin._console import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Executor
 
     from rtin.io.tile_jobs import TileJob
@@ -146,15 +147,9 @@ def tiles(
     )  # fmt: skip
     with one_line_errors():
         started = time.perf_counter()
-        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)  # for worker processes, too
-        with progress(f"looking at {_listed(dems)}"):
-            job = job_of()
-        for note in job.notes:
-            say(note)
-        say_if_not_compiled()
-        few = job.plan.n_tiles <= _FEW_TILES
+        job = _announced(job_of, dems)
         with (
-            _workers(workers or (1 if few else None), scheduler) as executor,
+            _workers(job, workers, scheduler) as executor,
             progress_bar(f"making {out}") as tell,
         ):
             made = job.write(out, update=update, executor=executor, tell=tell)
@@ -162,7 +157,20 @@ def tiles(
         _report_tiles(job, dems, out, made, seconds, as_json)
 
 
-def _workers(number: int | None, scheduler: str | None) -> AbstractContextManager[Executor | None]:
+def _announced(job_of: Callable[[], TileJob], dems: list[Path]) -> TileJob:
+    """Return a job, after saying all that is to be known before it begins."""
+    os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)  # for worker processes, too
+    with progress(f"looking at {_listed(dems)}"):
+        job = job_of()
+    for note in job.notes:
+        say(note)
+    say_if_not_compiled()
+    return job
+
+
+def _workers(
+    job: TileJob, number: int | None, scheduler: str | None = None
+) -> AbstractContextManager[Executor | None]:
     """Return what gives an executor: of a Dask cluster, or of processes here."""
     if scheduler is not None:
         from rtin.distributed import cluster
@@ -170,7 +178,9 @@ def _workers(number: int | None, scheduler: str | None) -> AbstractContextManage
         return cluster(scheduler)
     from rtin import _parallel
 
-    return _parallel.processes(number or _parallel.thread_count())
+    if number is None:
+        number = 1 if job.plan.n_tiles <= _FEW_TILES else _parallel.thread_count()
+    return _parallel.processes(number)
 
 
 def _tile_job(
@@ -298,19 +308,17 @@ def serve(
             return
         from rtin.io.live_tiles import LiveTiles
 
-        os.environ.setdefault("GDAL_CACHEMAX", _GDALS_MEGABYTES)
-        job = _tile_job(
-            paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
+        job_of = partial(
+            _tile_job, paths, "terrain", zoom=_zooms_of(zoom),
+            max_error=_numbers_of("--max-error", max_error),
             cells=cells, band=band, encoding=encoding,
             world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
                    "attribution": attribution},
         )  # fmt: skip
-        for note in job.notes:
-            say(note)
-        say_if_not_compiled()
+        job = _announced(job_of, paths)
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="rtin-serve-")))
         with (
-            _workers(workers or (1 if job.plan.n_tiles <= _FEW_TILES else None), None) as executor,
+            _workers(job, workers) as executor,
             progress_bar(f"preparing {_listed(paths)}") as tell,
         ):
             live = LiveTiles(job, folder, executor=executor, tell=tell)

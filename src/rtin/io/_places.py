@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._crs import as_crs
-from rtin.schemes import Scheme
+from rtin.schemes import EQUATORIAL_RADIUS, Scheme
 
 if TYPE_CHECKING:
     import pyproj
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["Nodes", "Placement", "horizontal", "smooth"]
 
 STEP = 16  # nodes from one control node to the next
-_RADIUS = 6378137.0  # of EPSG:3857's sphere
 _SNAP = 1e-6  # of a cell, as in Grid
 _LARGEST_ERROR = 0.01  # of a cell
 _SAFETY = 2.0
@@ -51,14 +50,16 @@ class Nodes:
     def longitudes(self, cols: NDArray[np.int64]) -> Floats:
         """Degrees, by a formula of the column alone."""
         x = self.scheme.west + cols.astype(np.float64) * self.spacing
-        return x if self.scheme.crs == "EPSG:4326" else x * (180.0 / (math.pi * _RADIUS))
+        return x if self.scheme.crs == "EPSG:4326" else x * (180.0 / (math.pi * EQUATORIAL_RADIUS))
 
     def latitudes(self, rows: NDArray[np.int64]) -> Floats:
         """Degrees, by a formula of the row alone."""
         y = self.scheme.north - rows.astype(np.float64) * self.spacing
         if self.scheme.crs == "EPSG:4326":
             return y
-        return np.array([math.degrees(math.atan(math.sinh(value / _RADIUS))) for value in y])
+        return np.array(
+            [math.degrees(math.atan(math.sinh(value / EQUATORIAL_RADIUS))) for value in y]
+        )
 
     def cols_at(self, longitudes: Floats) -> Floats:
         """The inverse of ``longitudes``, with fractions."""
@@ -74,7 +75,9 @@ class Nodes:
 
 
 def _mercator_y(latitudes: Floats) -> Floats:
-    return np.array([_RADIUS * math.asinh(math.tan(math.radians(value))) for value in latitudes])
+    return np.array(
+        [EQUATORIAL_RADIUS * math.asinh(math.tan(math.radians(value))) for value in latitudes]
+    )
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
@@ -144,7 +147,7 @@ class Placement:
         crs = as_crs(self.wkt)
         assert crs is not None
         if self.kind == "mercator":
-            return 2.0 * math.pi * _RADIUS
+            return 2.0 * math.pi * EQUATORIAL_RADIUS
         if crs.is_geographic:
             return 2.0 * math.pi / crs.axis_info[0].unit_conversion_factor
         return 0.0
@@ -168,7 +171,10 @@ class Placement:
         if self.kind == "degrees":
             x, y = longitudes, latitudes
         else:
-            x, y = np.radians(longitudes) * _RADIUS, _mercator_y(np.clip(latitudes, -89.9, 89.9))
+            x, y = (
+                np.radians(longitudes) * EQUATORIAL_RADIUS,
+                _mercator_y(np.clip(latitudes, -89.9, 89.9)),
+            )
         a, _, x0, _, e, y0 = self.place
         rows, cols = (y - y0) / e, (self._turned(x) - x0) / a
         return _snapped(rows[:, None]), _snapped(cols[None, :])
@@ -231,7 +237,7 @@ class Placement:
         west, east = (
             (nodes.cols_at(np.array(edges)) + 0.0)
             if self.kind == "degrees"
-            else (nodes.cols_at(np.degrees(np.array(edges) / _RADIUS)))
+            else (nodes.cols_at(np.degrees(np.array(edges) / EQUATORIAL_RADIUS)))
         )
         return float(west), float(east)
 
