@@ -338,7 +338,8 @@ def unit_bounds_at_voids(heights, row, col):
             between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
             error = abs(between - height)
     if must_split(heights, unit_wholes(heights, row, col), row, col):
-        error = -max(error, LEAST)
+        low, high = range_of_corners(heights, row, col)
+        return -max(error, LEAST), low, high
     return error, height, height
 
 
@@ -569,7 +570,7 @@ def descend(
     eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
     row_length, col_length = eye[3], eye[4]
     breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
-    reach = reach_of(level, kind) + 1e-6
+    reach_of_samples = reach_of(level, kind) + 1e-6
     turn = kind == CENTRE
     first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
     table = tabled(places, first, end, level)
@@ -597,13 +598,16 @@ def descend(
                 entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
                 error = np.float64(bounds[entry, ERROR])
                 low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+            is_mixed = error < 0.0
+            # The outline is off as far as the corners of finest triangles are.
+            reach = reach_of_samples + is_mixed
             if scale == 0.0:
-                weight = min(weight, np.inf if error < 0.0 else error)
+                weight = min(weight, np.inf if is_mixed else error)
             else:
                 down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
                 across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
                 up = max(low - eye_z, eye_z - high, 0.0)
-                error = error if error >= 0.0 else max(-error, breadth)
+                error = max(-error, breadth) if is_mixed else error
                 weight = min(weight, as_seen(error, scale, down, across, up))
             if not weight > tolerance:
                 continue
