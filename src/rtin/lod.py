@@ -58,7 +58,8 @@ class Frame:
         0 where a vertex lies on the edge that it bisects, 1 where it has its own height. They
         change continuously with the eye and the tolerance, and are 0 where a vertex comes or goes.
     coarser : ndarray of float64, shape (n,)
-        The height of the middle of that edge. Its two ends have weight 1.
+        The height of the middle of that edge. Its two ends have weight 1. A vertex that tells
+        heights from voids, at an outline, does not move: it has its own height here too.
     pixel_error : float
         The tolerance kept, in pixels: the one given, or what the budget allows.
     """

@@ -32,6 +32,7 @@ from rtin._kernels.planes import largest_in_row, triangle_plane
 CENTRE, EDGE = 0, 3  # columns of the layout
 ANY, ALL = 1, 2
 ERROR, LOW, HIGH = 0, 1, 2
+MIXED = 4  # beside a slot: a triangle is split there to tell heights from voids
 SMALL = 16  # the spacing of triangles that are searched sample by sample
 SHORT = 8  # rows of triangles for which vector speed does not pay
 LEAST = 1e-45  # that float32 holds
@@ -359,7 +360,8 @@ def unit_bounds_at_voids(heights, row, col):
             between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
             error = abs(between - height)
     if must_split(heights, unit_wholes(heights, row, col), row, col):
-        error = -max(error, LEAST)
+        low, high = range_of_corners(heights, row, col)
+        return -max(error, LEAST), low, high
     return error, height, height
 
 
@@ -590,7 +592,7 @@ def descend(
     eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
     row_length, col_length = eye[3], eye[4]
     breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
-    reach = reach_of(level, kind) + 1e-6
+    reach_of_samples = reach_of(level, kind) + 1e-6
     turn = kind == CENTRE
     first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
     table = tabled(places, first, end, level)
@@ -618,13 +620,16 @@ def descend(
                 entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
                 error = np.float64(bounds[entry, ERROR])
                 low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+            is_mixed = error < 0.0
+            # The outline is off as far as the corners of finest triangles are.
+            reach = reach_of_samples + is_mixed
             if scale == 0.0:
-                weight = min(weight, np.inf if error < 0.0 else error)
+                weight = min(weight, np.inf if is_mixed else error)
             else:
                 down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
                 across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
                 up = max(low - eye_z, eye_z - high, 0.0)
-                error = error if error >= 0.0 else max(-error, breadth)
+                error = max(-error, breadth) if is_mixed else error
                 weight = min(weight, as_seen(error, scale, down, across, up))
             if not weight > tolerance:
                 continue
@@ -636,7 +641,7 @@ def descend(
             around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
             around[n, (slot + 2) & 3] = number
             around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
-            slots[n], weights[n] = slot, weight
+            slots[n], weights[n] = slot + MIXED * is_mixed, weight
             n += 1
     return n
 
@@ -652,7 +657,8 @@ def walk(heights, layout, bounds, eye, planes, tolerance, most):
 
     Of each vertex: its place and height; the numbers of the four corners around it, clockwise from
     north or north-west, -1 where that is outside; the slot of its second apex among them, which is
-    its own slot around the first; what it weighs. The first four are the lattice's corners.
+    its own slot around the first, and whether it is mixed; what it weighs. The first four are the
+    lattice's corners.
     """
     size = 1 << len(layout)
     places, z = np.empty((1024, 2), np.int32), np.empty(1024, np.float64)
@@ -716,7 +722,7 @@ def taken_slots(around, slots, weights, tolerance):
     taken = np.zeros(slots.size, np.uint8)
     for number in range(4, slots.size):
         if weights[number] > tolerance:
-            slot = slots[number]
+            slot = slots[number] & 3
             taken[around[number, (slot + 2) & 3]] |= 1 << slot
             if around[number, slot] >= 0:
                 taken[around[number, slot]] |= 1 << ((slot + 2) & 3)
@@ -764,15 +770,19 @@ def renumber(triangles, n_vertices):
 
 @jit
 def fill_vertices(transform, places, z, around, slots, numbers, vertices, coarser):
-    """Write x, y and z of some vertices, and the height of the edge that each bisects."""
+    """Write x, y and z of some vertices, and the height of the edge that each bisects.
+
+    Its own height where it is mixed: the triangles before were not drawn, or over voids, so no
+    promise was kept on that edge.
+    """
     for i in range(numbers.size):
         number = numbers[i]
         row, col = places[number, 0], places[number, 1]
         vertices[i, 0] = transform[0] * col + transform[1] * row + transform[2]
         vertices[i, 1] = transform[3] * col + transform[4] * row + transform[5]
         vertices[i, 2] = coarser[i] = z[number]
-        if number >= 4:
-            slot = slots[number]
+        slot = slots[number]
+        if number >= 4 and slot < MIXED:
             between = (z[around[number, (slot + 1) & 3]] + z[around[number, (slot + 3) & 3]]) / 2
             if between == between:
                 coarser[i] = between
