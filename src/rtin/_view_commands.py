@@ -1,0 +1,102 @@
+"""The command ``rtin view``."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rtin._console import (
+    Band,
+    Encoding,
+    EncodingName,
+    announce,
+    one_line_errors,
+    progress,
+    say_if_not_compiled,
+)
+
+if TYPE_CHECKING:
+    from rtin.grid import Grid
+    from rtin.mesh import TriangleMesh
+    from rtin.viewer.scene import Settings
+
+__all__ = ["view"]
+
+
+def view(
+    path: Annotated[
+        Path, typer.Argument(metavar="DEM|MESH", help="A raster, or a mesh that rtin reads.")
+    ],
+    pixel_error: Annotated[
+        float, typer.Option(metavar="PIXELS", help="How far off a sample may be on the screen.")
+    ] = 2.0,
+    max_triangles: Annotated[
+        int | None, typer.Option(metavar="N", help="A budget for each picture, instead.")
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(metavar="HEIGHT", help="A tolerance that holds everywhere, instead."),
+    ] = None,
+    exaggeration: Annotated[float, typer.Option(metavar="TIMES", help="Heights times this.")] = 1.0,
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only say where the page is.")
+    ] = False,
+    band: Band = 1,
+    encoding: Encoding = None,
+) -> None:
+    """Look at a raster or a mesh in the browser; the level of detail follows the camera."""
+    with one_line_errors():
+        from rtin.viewer import page as pages
+        from rtin.viewer.scene import Terrain
+
+        settings = _settings(pixel_error, max_triangles, max_error, exaggeration)
+        with progress(f"opening {path.name}"):
+            surface = _surface(path, band, encoding)
+        say_if_not_compiled("rtin.lod")
+        with progress(f"preparing {path.name}"):
+            terrain = Terrain(surface)
+        with pages.Page(terrain, host, port, settings=settings, title=path.name) as page:
+            if not no_browser:
+                webbrowser.open(page.address)
+            pages.run(page, say=announce)
+
+
+def _settings(
+    pixel_error: float, max_triangles: int | None, max_error: float | None, exaggeration: float
+) -> Settings:
+    """Return what clients begin with; refuse what no mesh can be asked for."""
+    from rtin.viewer.scene import Settings
+
+    if max_triangles is not None and max_error is not None:
+        raise typer.BadParameter("give --max-triangles or --max-error, not both")
+    _require_more_than_zero("--pixel-error", pixel_error)
+    _require_more_than_zero("--exaggeration", exaggeration)
+    if max_error is not None and not 0.0 <= max_error < float("inf"):
+        raise typer.BadParameter(f"--max-error must be zero or more, got {max_error}")
+    common: dict[str, Any] = {"pixel_error": pixel_error, "exaggeration": exaggeration}
+    if max_triangles is not None:
+        _require_more_than_zero("--max-triangles", max_triangles)
+        return Settings("budget", max_triangles=max_triangles, **common)
+    if max_error is not None:
+        return Settings("tolerance", max_error=max_error, **common)
+    return Settings(**common)
+
+
+def _require_more_than_zero(flag: str, value: float) -> None:
+    if not 0.0 < value < float("inf"):
+        raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
+
+
+def _surface(path: Path, band: int, encoding: EncodingName | None) -> Grid | TriangleMesh:
+    from rtin.io.meshes import is_mesh_path, read_mesh
+
+    if is_mesh_path(path):
+        return read_mesh(path)
+    from rtin.io.grids import read_grid
+
+    return read_grid(path, band=band, encoding=encoding).in_metres()

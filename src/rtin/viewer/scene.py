@@ -1,0 +1,253 @@
+"""What the page draws: a terrain in small numbers round zero, cut for a view, as a GLB.
+
+A scene's longer side is ``SIDE`` units, whatever the terrain's: viser's keys move 2 units a second,
+and float32 vertices are good to a hundred-thousandth of a unit. z is up.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtin import _tint
+from rtin.grid import Grid
+from rtin.io import _gltf
+from rtin.lod import LevelOfDetail, frustum
+from rtin.mesh import TriangleMesh
+
+__all__ = ["SIDE", "Picture", "Place", "Settings", "Terrain", "View", "bounds_of", "height_colours"]
+
+SIDE = 100.0  # units: the longer side of a terrain
+_WIDER = 1.3  # than what is seen: a camera turns further before the next mesh is there
+_WIDEST = 150.0  # degrees
+_LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
+_INK = [0.02, 0.03, 0.05, 1.0]
+
+_Floats = NDArray[np.float64]
+Mode = Literal["pixels", "budget", "tolerance"]
+Painter = Callable[[TriangleMesh], _Floats]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What somebody who looks at a page has chosen.
+
+    ``mode`` says what counts: ``pixel_error`` in pixels or ``max_triangles`` for what the camera
+    sees, or ``max_error`` in the heights' unit, everywhere; None lets the page choose it.
+    """
+
+    mode: Mode = "pixels"
+    pixel_error: float = 2.0
+    max_triangles: int = 100_000
+    max_error: float | None = None
+    wireframe: bool = False
+    colours: str = "height"
+    exaggeration: float = 1.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera in the scene: eye, target and up of three floats, vertical angle in degrees.
+
+    ``height`` is that of its picture in pixels, ``aspect`` its width by its height.
+    """
+
+    eye: tuple[float, ...]
+    target: tuple[float, ...]
+    up: tuple[float, ...] = (0.0, 0.0, 1.0)
+    field_of_view: float = 60.0
+    height: int = 1080
+    aspect: float = 16.0 / 9.0
+
+
+class Place(NamedTuple):
+    """Where a terrain lies in the scene: the middle of its bounds, and units to one of its own."""
+
+    middle: _Floats
+    scale: float
+
+    @classmethod
+    def of(cls, bounds: _Floats) -> Place:
+        """Return the place of a terrain within ``bounds``: least and largest x, y, z."""
+        longer = float(np.ptp(bounds, axis=0)[:2].max())
+        return cls(bounds.mean(axis=0), SIDE / (longer or 1.0))
+
+    def into_scene(self, points: ArrayLike, exaggeration: float = 1.0) -> _Floats:
+        """Return points of the world, shape (..., 3), in the scene."""
+        return np.asarray((points - self.middle) * self._scales(exaggeration))
+
+    def into_world(self, points: ArrayLike, exaggeration: float = 1.0) -> _Floats:
+        """Return points of the scene, shape (..., 3), in the world."""
+        return np.asarray(points / self._scales(exaggeration) + self.middle)
+
+    def _scales(self, exaggeration: float) -> _Floats:
+        return self.scale * np.array([1.0, 1.0, exaggeration])
+
+
+class Picture(NamedTuple):
+    """What a view shows: a GLB to send, how much it holds, and what it took.
+
+    ``kept`` is the tolerance in pixels or in the heights' unit, None for a mesh from a file.
+    """
+
+    glb: NDArray[np.uint8]
+    n_triangles: int
+    n_vertices: int
+    kept: float | None
+    mesh_seconds: float
+    seconds: float
+
+
+class Terrain:
+    """A raster's level of detail or a mesh from a file, at its place in the scene.
+
+    Any number of threads may draw it at once.
+
+    Parameters
+    ----------
+    surface : Grid or TriangleMesh
+        x, y and heights in one unit: a grid in degrees goes through ``Grid.in_metres`` before.
+    place : Place, optional
+        That of a terrain which this one takes the place of; its own by default.
+    painters : dict of functions, optional
+        By the names that ``Settings.colours`` may have: each returns sRGB colours in 0..1, shape
+        (n, 3), for the vertices of a mesh. By default there is "height".
+    """
+
+    def __init__(
+        self,
+        surface: Grid | TriangleMesh,
+        *,
+        place: Place | None = None,
+        painters: dict[str, Painter] | None = None,
+    ) -> None:
+        self.bounds = bounds_of(surface)
+        self.place = place or Place.of(self.bounds)
+        self.painters = painters or {"height": height_colours(self.bounds)}
+        self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
+        self._mesh = surface if isinstance(surface, TriangleMesh) else None
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether there is a level of detail to choose."""
+        return self._lod is not None
+
+    def counts(self, view: View, settings: Settings) -> tuple[Any, ...]:
+        """Return what a picture depends on: where it is equal, so is the picture."""
+        if not self.has_levels or settings.mode == "tolerance":
+            return (self, replace(settings, pixel_error=0.0, max_triangles=0))
+        return (self, settings, view)
+
+    def draw(self, view: View, settings: Settings) -> Picture:
+        """Return what a view shows of the terrain."""
+        started = time.perf_counter()
+        mesh, kept = self._cut(view, settings)
+        cut = time.perf_counter()
+        paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
+        vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
+        lift = _LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
+        edges = mesh.edges() if settings.wireframe else None
+        data = _glb(vertices, mesh.triangles, paint(mesh), edges, lift)
+        done = time.perf_counter()
+        counts = (mesh.n_triangles, mesh.n_vertices)
+        return Picture(data, *counts, kept, cut - started, done - started)
+
+    def _cut(self, view: View, settings: Settings) -> tuple[TriangleMesh, float | None]:
+        """Return the mesh of a view, and the tolerance that it keeps."""
+        if self._lod is None:
+            assert self._mesh is not None, "it is a grid or a mesh"
+            return self._mesh, None
+        if settings.mode == "tolerance":
+            assert settings.max_error is not None, "the controls have chosen one"
+            return self._lod.mesh(max_error=settings.max_error), settings.max_error
+        # An error looks higher by the exaggeration; from as far away, or from further.
+        higher = max(settings.exaggeration, 1.0)
+        wanted: dict[str, Any] = {"pixel_error": settings.pixel_error / higher}
+        if settings.mode == "budget":
+            wanted = {"max_triangles": settings.max_triangles}
+        eye, planes = self._seen(view, settings.exaggeration)
+        frame = self._lod.frame(
+            eye, **wanted, field_of_view=view.field_of_view, height=view.height, frustum=planes
+        )
+        return frame.morphed, frame.pixel_error * higher
+
+    def _seen(self, view: View, exaggeration: float) -> tuple[_Floats, _Floats]:
+        """Return the eye in the world, and the planes around what it sees.
+
+        A plane of the world as it is drawn is one of the world, of another slope.
+        """
+        drawn = [self.place.into_world(point) for point in (view.eye, view.target)]
+        angle = min(_WIDER * view.field_of_view, _WIDEST)
+        planes = frustum(*drawn, field_of_view=angle, aspect=view.aspect, up=view.up)
+        middle = self.place.middle[2]
+        planes[:, 3] += planes[:, 2] * middle * (1.0 - exaggeration)
+        planes[:, 2] *= exaggeration
+        return self.place.into_world(view.eye, exaggeration), planes
+
+
+def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
+    """Return least and largest x, y, z of a grid's lattice or of a mesh, shape (2, 3)."""
+    if isinstance(surface, TriangleMesh):
+        return surface.bounds
+    rows, cols = surface.shape
+    ends = np.array([surface.transform * (c, r) for c in (0, cols - 1) for r in (0, rows - 1)])
+    low, high = np.nanmin(surface.heights), np.nanmax(surface.heights)
+    return np.array([[*ends.min(axis=0), low], [*ends.max(axis=0), high]], np.float64)
+
+
+def height_colours(bounds: _Floats) -> Painter:
+    """Return what tints vertices by height, from the least to the largest of ``bounds``."""
+    low, high = bounds[:, 2]
+    return lambda mesh: _tint.tint(mesh.vertices[:, 2], low, high)
+
+
+def _glb(
+    vertices: _Floats,
+    triangles: NDArray[np.int32],
+    colours: _Floats,
+    edges: NDArray[np.int64] | None,
+    lift: float,
+) -> NDArray[np.uint8]:
+    """Return triangles of these colours, unlit, and ``edges`` so much above them, as a GLB.
+
+    An array, since viser sends arrays as they are and packs bytes. Its world has z up within a GLB.
+    """
+    attributes: dict[str, NDArray[Any]] = {
+        "POSITION": vertices.astype("<f4"),
+        "COLOR_0": _sixteen_bits(_tint.linear(colours)),
+    }
+    if edges is not None:
+        attributes["edges"] = edges.astype("<u4").ravel()
+
+    def finish(tree: dict[str, Any]) -> None:
+        tree["extensionsUsed"] = ["KHR_materials_unlit"]
+        tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+        if edges is not None:
+            _add_edges(tree, lift)
+
+    return np.frombuffer(_gltf.packed(triangles.astype("<u4"), attributes, finish), np.uint8)
+
+
+def _sixteen_bits(colours: _Floats) -> NDArray[np.uint16]:
+    """Return RGBA. Eight bits of linear light would show as steps in the shade."""
+    rgba = np.full((len(colours), 4), 65535, "<u2")
+    rgba[:, :3] = np.rint(65535.0 * colours.clip(0.0, 1.0))
+    return rgba
+
+
+def _add_edges(tree: dict[str, Any], lift: float) -> None:
+    """Turn the attribute of edges into lines between the same vertices, in one dark colour."""
+    attributes = tree["meshes"][0]["primitives"][0]["attributes"]
+    indices = attributes.pop("edges")
+    tree["bufferViews"][indices]["target"] = tree["bufferViews"][0]["target"]
+    lines = {"mode": 1, "attributes": {"POSITION": attributes["POSITION"]}, "indices": indices}
+    tree["meshes"].append({"name": "edges", "primitives": [{**lines, "material": 1}]})
+    ink = {"pbrMetallicRoughness": {"baseColorFactor": _INK}}
+    tree["materials"].append({**ink, "extensions": {"KHR_materials_unlit": {}}})
+    tree["nodes"].append({"name": "edges", "mesh": 1, "translation": [0.0, 0.0, lift]})
+    tree["scenes"][0]["nodes"].append(1)
