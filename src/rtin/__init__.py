@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         write_mesh,
     )
     from rtin.io.tile_jobs import TileJob, raster_tiles, world_tiles
+    from rtin.lod import Frame, LevelOfDetail, frustum
     from rtin.mesh import TriangleMesh
     from rtin.overlay import TerrainDifference, terrain_difference
     from rtin.plotting import plot
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
 _MODULE_OF = {
     "AdaptiveMesh": "rtin.adaptive",
     "CertifiedDistance": "rtin.distance",
+    "Frame": "rtin.lod",
     "Grid": "rtin.grid",
+    "LevelOfDetail": "rtin.lod",
     "Propagation": "rtin.conformity",
     "SurfaceDistance": "rtin.distance",
     "TerrainDifference": "rtin.overlay",
@@ -48,6 +51,7 @@ _MODULE_OF = {
     "fit_heights": "rtin.fitting",
     "from_skfem": "rtin.io",
     "from_triangulation": "rtin.io",
+    "frustum": "rtin.lod",
     "hausdorff": "rtin.distance",
     "plot": "rtin.plotting",
     "propagation": "rtin.conformity",
@@ -69,7 +73,9 @@ _SUBMODULES = ("io", "samples", "validity")
 __all__ = [
     "AdaptiveMesh",
     "CertifiedDistance",
+    "Frame",
     "Grid",
+    "LevelOfDetail",
     "Propagation",
     "SurfaceDistance",
     "TerrainDifference",
@@ -83,6 +89,7 @@ __all__ = [
     "fit_heights",
     "from_skfem",
     "from_triangulation",
+    "frustum",
     "hausdorff",
     "plot",
     "propagation",

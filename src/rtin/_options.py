@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from rtin._number import as_number
 from rtin.grid import Grid
 
-__all__ = ["as_height", "as_tolerance_map", "require_word", "the_only_option"]
+__all__ = ["as_count", "as_height", "as_tolerance_map", "require_word", "the_only_option"]
+
+MOST = int(np.iinfo(np.int64).max)  # no limit on a count
 
 
 def the_only_option(**options: Any) -> tuple[str, Any]:  # noqa: ANN401
@@ -35,6 +37,13 @@ def as_height(name: str, value: Any) -> float:  # noqa: ANN401
     if not height >= 0.0:
         raise ValueError(f"{name} must be zero or more, in the raster's height units, got {height}")
     return height
+
+
+def as_count(name: str, value: Any) -> int:  # noqa: ANN401
+    """Return a whole number; raise TypeError for anything else."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} must be a whole number, got {value!r}")
+    return min(int(value), MOST)
 
 
 def as_tolerance_map(grid: Grid, name: str, value: Any) -> NDArray[np.float64]:  # noqa: ANN401

@@ -309,8 +309,8 @@ def serve(
         from rtin.io.live_tiles import LiveTiles
 
         job_of = partial(
-            _tile_job, paths, "terrain", zoom=_zooms_of(zoom), max_error=_numbers_of("--max-error", max_error),
-            cells=cells, band=band, encoding=encoding,
+            _tile_job, paths, "terrain", zoom=_zooms_of(zoom),
+            max_error=_numbers_of("--max-error", max_error), cells=cells, band=band, encoding=encoding,
             world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
                    "attribution": attribution},
         )  # fmt: skip

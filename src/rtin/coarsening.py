@@ -26,7 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel, squared_error
-from rtin._options import as_height, as_tolerance_map, require_word, the_only_option
+from rtin._options import (
+    MOST,
+    as_count,
+    as_height,
+    as_tolerance_map,
+    require_word,
+    the_only_option,
+)
 from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
@@ -42,7 +49,6 @@ _Tolerance = tuple[float, NDArray[np.float64] | None]
 
 _COARSE_PARTS = 32
 _NO_LIMIT: _Tolerance = (np.inf, None)
-_UNLIMITED = int(np.iinfo(np.int64).max)
 _OPTIONS_OF = {
     "max": ("max_error", "max_vertices", "max_triangles", "threshold", "removable"),
     "rms": ("max_vertices", "max_triangles", "weight"),
@@ -173,9 +179,9 @@ def coarsen(
     elif name == "weight":
         kept = _least_squares(grid, as_height("weight", value), required)
     elif norm == "rms":
-        kept = _least_squares_within_budget(grid, name, _as_count(name, value), required)
+        kept = _least_squares_within_budget(grid, name, as_count(name, value), required)
     else:
-        kept, tolerance = _within_budget(grid, name, _as_count(name, value), required, swapped)
+        kept, tolerance = _within_budget(grid, name, as_count(name, value), required, swapped)
     _choose_diagonals(grid, kept, swapped, tolerance)
     mesh = mesh_of_kept(grid, kept, swapped)
     if heights == "sampled":
@@ -308,7 +314,7 @@ def _limits(name: str, budget: int, n_vertices: int, n_triangles: int) -> tuple[
         raise ValueError(
             f"{name} must be at least {least} for this outline and what is to keep, got {budget}"
         )
-    return (budget, _UNLIMITED) if name == "max_vertices" else (_UNLIMITED, budget)
+    return (budget, MOST) if name == "max_vertices" else (MOST, budget)
 
 
 # --- the two rules ------------------------------------------------------------------------------
@@ -533,12 +539,6 @@ def _asked(norm: str, **options: Any) -> tuple[str, Any]:  # noqa: ANN401
             f"{foreign[0]} does not go with norm={norm!r}; give exactly one of {', '.join(fitting)}"
         )
     return the_only_option(**fitting)
-
-
-def _as_count(name: str, value: Any) -> int:  # noqa: ANN401
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} must be a whole number, got {value!r}")
-    return min(int(value), _UNLIMITED)
 
 
 def _as_tolerance(grid: Grid, value: Any) -> _Tolerance:  # noqa: ANN401

@@ -12,7 +12,7 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
-from rtin._crs import as_crs
+from rtin._crs import as_crs, metres_per_unit
 from rtin._raster import NORTH_UP, moved, row_chunks, scaled
 
 if TYPE_CHECKING:
@@ -111,6 +111,25 @@ class Grid:
         """
         data, transform, crs = placed(data)
         return cls(unpacked(data), transform, crs)
+
+    def in_metres(self) -> Grid:
+        """Return the grid with x and y in metres east and north of its middle, and no CRS.
+
+        For whatever measures distances in space. A degree is as long as on the ellipsoid of the
+        CRS at the latitude in the middle of the grid: right there, and off by 0.5 % half a degree
+        north of it where the latitude is 45. A grid whose CRS is not geographic is returned as it
+        is, in the unit of its CRS.
+        """
+        if self.crs is None or not self.crs.is_geographic:
+            return self
+        rows, cols = self.shape
+        a, b, x0, d, e, y0 = tuple(self.transform)[:6]
+        x = a * (cols - 1) / 2 + b * (rows - 1) / 2 + x0
+        y = d * (cols - 1) / 2 + e * (rows - 1) / 2 + y0
+        east, north = metres_per_unit(self.crs, y)
+        transform = (a, b, x0 - x, d, e, y0 - y)
+        lengths = (east, east, east, north, north, north)
+        return Grid(self.heights, np.multiply(transform, lengths).tolist())
 
     def places(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return row and column, with fractions, of each point of the world, both of shape (n, 2).
@@ -237,6 +256,14 @@ def _casts_exactly(array: NDArray[Any], dtype: type[np.floating[Any]]) -> bool:
 def _has_voids(heights: NDArray[np.floating[Any]]) -> bool:
     if heights.min() >= -_LARGEST_HEIGHT and heights.max() <= _LARGEST_HEIGHT:
         return False
+    n_values = _count_values(require_heights(heights))
+    if n_values == 0:
+        raise ValueError("heights hold no value at all: every sample is NaN or masked")
+    return n_values < heights.size
+
+
+def require_heights(heights: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Return heights; raise ValueError where one is infinite or too large to calculate with."""
     for rows in row_chunks(heights.shape):
         too_large = np.abs(heights[rows]) > _LARGEST_HEIGHT
         if too_large.any():
@@ -246,10 +273,7 @@ def _has_voids(heights: NDArray[np.floating[Any]]) -> bool:
                 f"got {heights[rows][row, col]:g} at row {rows.start + row}, column {col}; "
                 "set such samples to NaN to leave them out"
             )
-    n_values = _count_values(heights)
-    if n_values == 0:
-        raise ValueError("heights hold no value at all: every sample is NaN or masked")
-    return n_values < heights.size
+    return heights
 
 
 def _count_values(heights: NDArray[np.floating[Any]]) -> int:

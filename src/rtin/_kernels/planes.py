@@ -123,6 +123,21 @@ def triangle_fails_or_is_mixed(heights, max_error, tolerance, row, col, spacing,
 
 
 @jit
+def largest_in_row(heights, row, start, end, value, slope, largest):
+    """The largest of ``largest`` and the distances of a row's samples from value + slope * i.
+
+    Voids have no distance.
+    """
+    # Counting runs at vector speed, a running maximum does not: look only where it rises.
+    if faults_in_row(heights, row, start, end, value, slope, largest, None):
+        for i in range(end - start):
+            distance = abs(heights[row, start + i] - (value + slope * i))
+            if distance > largest:
+                largest = distance
+    return largest
+
+
+@jit
 def triangle_error(heights, row, col, spacing, direction, along_axis):
     """Largest distance of a sample of a triangle without voids from its plane."""
     apex, row_slope, col_slope = triangle_plane(heights, row, col, spacing, direction, along_axis)
@@ -134,10 +149,5 @@ def triangle_error(heights, row, col, spacing, direction, along_axis):
         distance = abs(sample_row - row)
         start, end = left + left_step * distance, right + right_step * distance + 1
         value = apex + row_slope * (sample_row - row) + col_slope * (start - col)
-        # Counting runs at vector speed, a running maximum does not: look only where it rises.
-        if faults_in_row(heights, sample_row, start, end, value, col_slope, largest, None):
-            for i in range(end - start):
-                largest = max(
-                    largest, abs(heights[sample_row, start + i] - (value + col_slope * i))
-                )
+        largest = largest_in_row(heights, sample_row, start, end, value, col_slope, largest)
     return largest

@@ -1,0 +1,701 @@
+"""Arithmetic of level of detail: a hierarchy of errors and extents, and the walk down it.
+
+The proper vertices of a spacing ``1 << level`` come as two generations: its centre vertices, then
+its edge vertices. The children of a vertex, of which it is an apex, are all of the next generation.
+``layout`` says where the hierarchy keeps each: first entry, entries a row and rows of the centre
+vertices of a level, then the same of its edge vertices. The edge vertices of spacing 1, half of
+all, are not kept: a few samples tell all about them.
+
+    own[i]      the largest error of the triangles whose hypotenuse i bisects; not of spacing 1
+    wholes[i]   for each of these two, as bits, whether any and whether all its unit triangles are
+                whole, which is to say that they have three heights
+    bounds[i]   error, lowest and highest sample of i and all its descendants; the error is negative
+                where a triangle of theirs has to be split to tell heights from voids
+"""
+
+import numpy as np
+
+from rtin._kernels._jit import jit
+from rtin._kernels.coarsening import is_valid, with_room
+from rtin._kernels.lattice import (
+    apexes,
+    hypotenuse,
+    is_centre,
+    is_inside,
+    midpoint,
+    row_spans,
+    spacing_of,
+)
+from rtin._kernels.planes import largest_in_row, triangle_plane
+
+CENTRE, EDGE = 0, 3  # columns of the layout
+ANY, ALL = 1, 2
+ERROR, LOW, HIGH = 0, 1, 2
+SMALL = 16  # the spacing of triangles that are searched sample by sample
+LEAST = 1e-45  # that float32 holds
+
+
+# --- where the hierarchy keeps a vertex -----------------------------------------------------------
+
+
+@jit
+def level_of(spacing):
+    """The exponent of a spacing."""
+    level = 0
+    while spacing >> (level + 1):
+        level += 1
+    return level
+
+
+@jit
+def holds(layout, level, kind, row, col):
+    """Whether a vertex of the lattice is in the hierarchy: not far outside the raster."""
+    shift = level + 1 if kind == CENTRE else level
+    return row >> shift < layout[level, kind + 2] and col >> (level + 1) < layout[level, kind + 1]
+
+
+@jit
+def entry_of(layout, level, kind, row, col):
+    """Where the hierarchy keeps a vertex."""
+    shift = level + 1 if kind == CENTRE else level
+    return layout[level, kind] + (row >> shift) * layout[level, kind + 1] + (col >> (level + 1))
+
+
+@jit
+def vertex_at(level, kind, i, j):
+    """Row and column of the vertex in row i and place j of its generation."""
+    if kind == CENTRE:
+        return (2 * i + 1) << level, (2 * j + 1) << level
+    return i << level, (2 * j + 1 - (i & 1)) << level
+
+
+# --- the errors of triangles ----------------------------------------------------------------------
+
+
+@jit
+def direction_towards(along_axis, row_step, col_step):
+    """The direction of a triangle whose midpoint lies that way from its apex."""
+    if not along_axis:
+        return 2 * (row_step > 0) + (col_step > 0)
+    if row_step != 0:
+        return 3 * (row_step > 0)
+    return 2 - (col_step > 0)
+
+
+@jit
+def search(heights, plane_row, plane_col, plane, row, col, direction, largest):
+    """The largest distance from a plane, of ``largest`` and those of a triangle's samples."""
+    apex, row_slope, col_slope = plane
+    first, last, left, left_step, right, right_step = row_spans(
+        row, col, spacing_of(row, col), direction
+    )
+    for sample_row in range(first, last + 1):
+        distance = abs(sample_row - row)
+        start, end = left + left_step * distance, right + right_step * distance + 1
+        value = apex + row_slope * (sample_row - plane_row) + col_slope * (start - plane_col)
+        largest = largest_in_row(heights, sample_row, start, end, value, col_slope, largest)
+    return largest
+
+
+@jit
+def tilt(heights, plane_row, plane_col, plane, row, col):
+    """The distance of one sample from a plane."""
+    apex, row_slope, col_slope = plane
+    value = apex + row_slope * (row - plane_row) + col_slope * (col - plane_col)
+    return abs(value - heights[row, col])
+
+
+@jit
+def side_of(row, col, apex_row, apex_col):
+    """By how many bits what is said of the triangle with that apex is shifted."""
+    p_row, p_col, _, _ = apexes(row, col, spacing_of(row, col))
+    return 0 if p_row == apex_row and p_col == apex_col else 2
+
+
+@jit
+def triangle_error(heights, layout, own, wholes, row, col, direction):
+    """Largest distance of a sample of a triangle with three heights from its plane.
+
+    By branch and bound: no sample of a part is farther away than the part's own error and the
+    distance of its corners together.
+    """
+    spacing = spacing_of(row, col)
+    plane = triangle_plane(heights, row, col, spacing, direction, is_centre(row, col, spacing))
+    if spacing <= SMALL:
+        return search(heights, row, col, plane, row, col, direction, 0.0)
+    largest = 0.0
+    stack, n_stack = np.empty((128, 3), np.int64), 1
+    stack[0, 0], stack[0, 1], stack[0, 2] = row, col, direction
+    while n_stack > 0:
+        n_stack -= 1
+        t_row, t_col, t_direction = stack[n_stack, 0], stack[n_stack, 1], stack[n_stack, 2]
+        t_spacing = spacing_of(t_row, t_col)
+        if t_spacing <= SMALL:
+            largest = search(heights, row, col, plane, t_row, t_col, t_direction, largest)
+            continue
+        v_row, v_col = midpoint(t_row, t_col, t_spacing, t_direction)
+        a_row, a_col, b_row, b_col = hypotenuse(t_row, t_col, t_spacing, t_direction)
+        v_spacing = spacing_of(v_row, v_col)
+        v_is_centre = is_centre(v_row, v_col, v_spacing)
+        kind = CENTRE if v_is_centre else EDGE
+        entry = entry_of(layout, level_of(v_spacing), kind, v_row, v_col)
+        # The own errors of triangles with voids say nothing where a corner is one.
+        if largest > 0.0 and wholes[entry] >> side_of(v_row, v_col, t_row, t_col) & ALL:
+            farthest = tilt(heights, row, col, plane, t_row, t_col)
+            farthest = max(farthest, tilt(heights, row, col, plane, a_row, a_col))
+            farthest = max(farthest, tilt(heights, row, col, plane, b_row, b_col))
+            if farthest + own[entry] <= largest:
+                continue
+        for leg in range(2):
+            end_row, end_col = (a_row, a_col) if leg == 0 else (b_row, b_col)
+            to_row, to_col = (t_row + end_row) // 2 - v_row, (t_col + end_col) // 2 - v_col
+            stack[n_stack, 0], stack[n_stack, 1] = v_row, v_col
+            stack[n_stack, 2] = direction_towards(v_is_centre, to_row, to_col)
+            n_stack += 1
+    return largest
+
+
+@jit
+def own_error(heights, layout, own, wholes, row, col):
+    """The largest error of the triangles whose hypotenuse a vertex bisects; rounded up."""
+    spacing = spacing_of(row, col)
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing)
+    largest = 0.0
+    for side in range(2):
+        a_row, a_col = (p_row, p_col) if side == 0 else (q_row, q_col)
+        if has_three_heights(heights, row, col, a_row, a_col):
+            direction = direction_towards(
+                not is_centre(row, col, spacing), row - a_row, col - a_col
+            )
+            error = triangle_error(heights, layout, own, wholes, a_row, a_col, direction)
+            largest = max(largest, error)
+    return rounded_up(largest)
+
+
+@jit
+def rounded_up(value):
+    """A float32 that is no less than a value of zero or more, and above it unless that is 0."""
+    if value == 0.0:
+        return np.float32(0.0)
+    return np.nextafter(np.float32(max(value, LEAST)), np.float32(np.inf))
+
+
+@jit
+def rounded_down(value):
+    """A float32 below a value."""
+    return np.nextafter(np.float32(value), np.float32(-np.inf))
+
+
+@jit
+def has_height(heights, row, col):
+    """Whether there is a sample with a height at a place, which may be outside the lattice."""
+    return row >= 0 and col >= 0 and is_valid(heights, row, col)
+
+
+@jit
+def ends_of(row, col):
+    """Both ends of the edge that a vertex bisects, as (row, col, row, col)."""
+    spacing = spacing_of(row, col)
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing)
+    if is_centre(row, col, spacing):
+        return p_row, q_col, q_row, p_col
+    row_step, col_step = col - p_col, row - p_row
+    return row - row_step, col - col_step, row + row_step, col + col_step
+
+
+@jit
+def has_three_heights(heights, row, col, apex_row, apex_col):
+    """Whether the triangle with that apex, whose hypotenuse a vertex bisects, has three heights."""
+    a_row, a_col, b_row, b_col = ends_of(row, col)
+    return (
+        has_height(heights, apex_row, apex_col)
+        and has_height(heights, a_row, a_col)
+        and has_height(heights, b_row, b_col)
+    )
+
+
+# --- wholes ---------------------------------------------------------------------------------------
+
+
+@jit
+def unit_wholes(heights, row, col):
+    """What ``wholes`` would say of an edge vertex of spacing 1."""
+    p_row, p_col, q_row, q_col = apexes(row, col, 1)
+    a_row, a_col, b_row, b_col = ends_of(row, col)
+    if not has_height(heights, row, col):
+        return 0
+    bits = 0
+    with_a, with_b = has_height(heights, a_row, a_col), has_height(heights, b_row, b_col)
+    if has_height(heights, p_row, p_col):
+        bits |= (with_a or with_b) * ANY | (with_a and with_b) * ALL
+    if has_height(heights, q_row, q_col):
+        bits |= ((with_a or with_b) * ANY | (with_a and with_b) * ALL) << 2
+    return bits
+
+
+@jit
+def joined_wholes(heights, layout, wholes, row, col):
+    """What ``wholes`` is to say of a vertex, by what it says of its children."""
+    spacing = spacing_of(row, col)
+    level = level_of(spacing)
+    from_centre = is_centre(row, col, spacing)
+    size = 1 << len(layout)
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing)
+    bits = 0
+    for side in range(2):
+        a_row, a_col = (p_row, p_col) if side == 0 else (q_row, q_col)
+        if not is_inside(a_row, a_col, size):
+            continue
+        some, all_ = 0, ANY | ALL
+        for direction in range(4):
+            u_row, u_col = midpoint(row, col, spacing, direction)
+            if (u_row - row) * (a_row - row) + (u_col - col) * (a_col - col) <= 0:
+                continue
+            of_child = 0
+            if from_centre and spacing == 1:
+                of_child = unit_wholes(heights, u_row, u_col)
+            elif from_centre and holds(layout, level, EDGE, u_row, u_col):
+                of_child = wholes[entry_of(layout, level, EDGE, u_row, u_col)]
+            elif not from_centre and holds(layout, level - 1, CENTRE, u_row, u_col):
+                of_child = wholes[entry_of(layout, level - 1, CENTRE, u_row, u_col)]
+            of_child = of_child >> side_of(u_row, u_col, row, col)
+            some |= of_child & ANY
+            all_ &= of_child
+        bits |= (some | all_ & ALL) << (2 * side)
+    return bits
+
+
+@jit
+def must_split(heights, bits, row, col):
+    """Whether a triangle whose hypotenuse a vertex bisects is neither whole nor to be dropped."""
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
+    for side in range(2):
+        a_row, a_col = (p_row, p_col) if side == 0 else (q_row, q_col)
+        of_side = bits >> (2 * side)
+        if of_side & ALL:
+            continue
+        if of_side & ANY or has_three_heights(heights, row, col, a_row, a_col):
+            return True
+    return False
+
+
+# --- the hierarchy --------------------------------------------------------------------------------
+
+
+@jit
+def renew_own(heights, layout, level, kind, first, end, left, right, own, wholes):
+    """Write own errors and wholes of some rows and places of a generation."""
+    size = 1 << len(layout)
+    for i in range(first, end):
+        for j in range(left, right):
+            row, col = vertex_at(level, kind, i, j)
+            if is_inside(row, col, size):
+                entry = entry_of(layout, level, kind, row, col)
+                wholes[entry] = joined_wholes(heights, layout, wholes, row, col)
+                if level > 0:
+                    own[entry] = own_error(heights, layout, own, wholes, row, col)
+
+
+@jit
+def unit_bounds(heights, row, col):
+    """What ``bounds`` would say of an edge vertex of spacing 1, not rounded."""
+    height, error = np.nan, 0.0
+    if has_height(heights, row, col):
+        height = np.float64(heights[row, col])
+        p_row, p_col, q_row, q_col = apexes(row, col, 1)
+        if has_three_heights(heights, row, col, p_row, p_col) or has_three_heights(
+            heights, row, col, q_row, q_col
+        ):
+            a_row, a_col, b_row, b_col = ends_of(row, col)
+            between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
+            error = abs(between - height)
+    if must_split(heights, unit_wholes(heights, row, col), row, col):
+        error = -max(error, LEAST)
+    return error, height, height
+
+
+@jit
+def bounds_of(heights, layout, bounds, level, kind, row, col):
+    """Error, lowest and highest sample of a vertex and its descendants; NaN where there is none."""
+    if kind == EDGE and level == 0:
+        return unit_bounds(heights, row, col)
+    entry = entry_of(layout, level, kind, row, col)
+    return (
+        np.float64(bounds[entry, ERROR]),
+        np.float64(bounds[entry, LOW]),
+        np.float64(bounds[entry, HIGH]),
+    )
+
+
+@jit
+def widen(low, high, other_low, other_high):
+    """The range that holds both; of one that is NaN the other."""
+    low = other_low if not low <= other_low else low
+    high = other_high if not high >= other_high else high
+    return low, high
+
+
+@jit
+def renew_bounds(
+    heights, layout, growth, level, kind, first, end, left, right, own, wholes, bounds
+):
+    """Write the bounds of some rows and places of a generation, by those of the next one."""
+    size = 1 << len(layout)
+    child_level, child_kind = (level, EDGE) if kind == CENTRE else (level - 1, CENTRE)
+    for i in range(first, end):
+        for j in range(left, right):
+            row, col = vertex_at(level, kind, i, j)
+            if not is_inside(row, col, size):
+                continue
+            entry = entry_of(layout, level, kind, row, col)
+            if level > 0:
+                error = np.float64(own[entry])
+            else:
+                error = np.float64(own_error(heights, layout, own, wholes, row, col))
+            splits = must_split(heights, wholes[entry], row, col)
+            low, high = range_of_corners(heights, row, col)
+            for direction in range(4):
+                u_row, u_col = midpoint(row, col, 1 << level, direction)
+                if not is_inside(u_row, u_col, size):
+                    continue
+                if not holds(layout, child_level, child_kind, u_row, u_col):
+                    continue
+                u_error, u_low, u_high = bounds_of(
+                    heights, layout, bounds, child_level, child_kind, u_row, u_col
+                )
+                splits |= u_error < 0.0
+                error = max(error, growth * abs(u_error))
+                if u_low == u_low:
+                    low, high = widen(low, high, u_low, u_high)
+            rounded = rounded_up(error)
+            bounds[entry, ERROR] = -max(rounded, np.float32(LEAST)) if splits else rounded
+            bounds[entry, LOW], bounds[entry, HIGH] = rounded_down(low), -rounded_down(-high)
+
+
+@jit
+def range_of_corners(heights, row, col):
+    """Lowest and highest of a vertex and the corners around it; NaN where all are voids."""
+    low, high = np.nan, np.nan
+    p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
+    a_row, a_col, b_row, b_col = ends_of(row, col)
+    for r, c in ((row, col), (p_row, p_col), (q_row, q_col), (a_row, a_col), (b_row, b_col)):
+        if has_height(heights, r, c):
+            height = np.float64(heights[r, c])
+            low, high = widen(low, high, height, height)
+    return low, high
+
+
+# --- the walk -------------------------------------------------------------------------------------
+
+
+@jit
+def reach_of(level, kind):
+    """Rows and columns from a vertex to the farthest sample of its descendants."""
+    return (3 << level) - 2 if kind == CENTRE else (2 << level) - 2
+
+
+@jit
+def is_outside(planes, row, col, reach, low, high):
+    """Whether a box of samples lies outside one of the planes wholly."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    for i in range(planes.shape[0]):
+        a, b, c = planes[i, 0], planes[i, 1], planes[i, 2]
+        farthest = (abs(a) + abs(b)) * reach + abs(c) * half
+        if a * row + b * col + c * middle + planes[i, 3] + farthest < 0.0:
+            return True
+    return False
+
+
+@jit
+def distance_to(eye, row, col, reach, low, high):
+    """Distance from the eye to a box of samples, on the ground and up."""
+    down = max(abs(row - eye[0]) - reach, 0.0) * eye[3]
+    across = max(abs(col - eye[1]) - reach, 0.0) * eye[4]
+    up = max(low - eye[2], eye[2] - high, 0.0)
+    return np.sqrt(down * down + across * across + up * up)
+
+
+@jit
+def weight_of(heights, layout, bounds, eye, planes, level, kind, row, col):
+    """How large the error without a vertex and its descendants may be: as a height, or as seen.
+
+    ``eye`` holds row, column and height of the eye; what a row and a column are long, at least;
+    what either is, at most; and the pixels of a height of 1 at a distance of 1. It is empty where
+    heights count. Negative where nothing is seen.
+    """
+    error, low, high = bounds_of(heights, layout, bounds, level, kind, row, col)
+    if eye.size == 0:
+        return np.inf if error < 0.0 else error
+    if error == 0.0:
+        return 0.0
+    reach = reach_of(level, kind)
+    if is_outside(planes, row, col, reach + 1e-6, low, high):
+        return -1.0
+    if error < 0.0:
+        width = (2 << level) * eye[5]
+        error = max(-error, width * (np.sqrt(2.0) if kind == CENTRE else 1.0))
+    distance = distance_to(eye, row, col, reach + 1e-6, low, high)
+    return error * eye[6] / distance if distance > 0.0 else np.inf
+
+
+@jit
+def slot_of_hash(row, col, level, table):
+    """Where to look first for a vertex in a hash table, whose length is a power of two."""
+    mixed = np.int64(row >> level) * 2654435761 + np.int64(col >> level) * 805459861
+    return (mixed >> 12) & (table.size - 1)
+
+
+@jit
+def tabled(places, first, end, level):
+    """A hash table of the numbers first to end, by their places."""
+    size = 4
+    while size < 2 * (end - first):
+        size *= 2
+    table = np.full(size, -1, np.int32)
+    for number in range(first, end):
+        slot = slot_of_hash(places[number, 0], places[number, 1], level, table)
+        while table[slot] >= 0:
+            slot = (slot + 1) & (size - 1)
+        table[slot] = number
+    return table
+
+
+@jit
+def find(table, places, level, row, col):
+    """The number of the vertex at a place; -1 where there is none in the table."""
+    slot = slot_of_hash(row, col, level, table)
+    while table[slot] >= 0:
+        number = table[slot]
+        if places[number, 0] == row and places[number, 1] == col:
+            return number
+        slot = (slot + 1) & (table.size - 1)
+    return -1
+
+
+@jit
+def step_of(kind, slot):
+    """Row and column step to the child of that kind in a slot.
+
+    Slots go round clockwise: from north to an edge vertex, from north-west to a centre vertex.
+    """
+    if kind == EDGE:
+        return (slot == 2) - (slot == 0), (slot == 1) - (slot == 3)
+    return 2 * (slot > 1) - 1, 2 * (slot == 1 or slot == 2) - 1
+
+
+@jit
+def walk(heights, layout, bounds, eye, planes, tolerance, most):
+    """Every vertex that weighs more than a tolerance, from the coarsest on; at most about ``most``.
+
+    Of each vertex: its place; the numbers of the four corners around it, clockwise from north or
+    north-west, -1 where that is outside; the slot of its second apex among them, which is its own
+    slot around the first; what it weighs. The first four are the lattice's corners.
+    """
+    size = 1 << len(layout)
+    places = np.empty((1024, 2), np.int32)
+    around = np.empty((1024, 4), np.int32)
+    slots = np.empty(1024, np.uint8)
+    weights = np.empty(1024, np.float64)
+    around[:4], slots[:4], weights[:4] = -1, 0, np.inf
+    for corner in range(4):
+        places[corner, 0], places[corner, 1] = (corner >> 1) * size, (corner & 1) * size
+    around[2, 0], around[2, 1], around[1, 2], around[1, 3] = 0, 3, 3, 0
+    n = 4
+    top = len(layout) - 1
+    if top >= 0:
+        weight = weight_of(heights, layout, bounds, eye, planes, top, CENTRE, size // 2, size // 2)
+        if weight > tolerance:
+            places[4, 0], places[4, 1] = size // 2, size // 2
+            around[4, 0], around[4, 1], around[4, 2], around[4, 3] = 0, 1, 3, 2
+            slots[4], weights[4], n = 1, weight, 5
+    first = 4
+    for generation in range(1, 2 * len(layout)):
+        level = top - generation // 2
+        kind = EDGE if generation & 1 else CENTRE
+        end = n
+        if first == end or n > most:
+            break
+        n_needed = n + 4 * (end - first)
+        if n_needed > slots.size:
+            larger = max(n_needed, 2 * slots.size)
+            places, around = with_rows(places, n, larger), with_rows(around, n, larger)
+            slots, weights = with_room(slots, larger), with_room(weights, larger)
+        table = tabled(places, first, end, level)
+        turn = kind == CENTRE
+        for number in range(first, end):
+            row, col = places[number, 0], places[number, 1]
+            for slot in range(4):
+                row_step, col_step = step_of(kind, slot)
+                u_row, u_col = row + (row_step << level), col + (col_step << level)
+                o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
+                if not is_inside(u_row, u_col, size):
+                    continue
+                other = -1
+                if is_inside(o_row, o_col, size):
+                    if row_step + col_step < 0 or (row_step + col_step == 0 and row_step < 0):
+                        continue  # found from the other apex
+                    other = find(table, places, level, o_row, o_col)
+                    if other < 0:
+                        continue
+                if not holds(layout, level, kind, u_row, u_col):
+                    continue
+                weight = weight_of(heights, layout, bounds, eye, planes, level, kind, u_row, u_col)
+                weight = min(weight, weights[number])
+                if other >= 0:
+                    weight = min(weight, weights[other])
+                if not weight > tolerance:
+                    continue
+                places[n, 0], places[n, 1] = u_row, u_col
+                around[n, slot] = other
+                around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
+                around[n, (slot + 2) & 3] = number
+                around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
+                slots[n], weights[n] = slot, weight
+                n += 1
+        first = end
+    return places[:n], around[:n], slots[:n], weights[:n]
+
+
+@jit
+def with_rows(array, n_rows, n_wanted):
+    """A longer copy of the first rows of an array."""
+    longer = np.empty((n_wanted, array.shape[1]), array.dtype)
+    longer[:n_rows] = array[:n_rows]
+    return longer
+
+
+# --- the mesh -------------------------------------------------------------------------------------
+
+
+@jit
+def corners_of(heights, places, around, number, slot):
+    """Ends of the hypotenuse of a vertex's triangle in a slot; -1 where there is no triangle."""
+    row, col = places[number, 0], places[number, 1]
+    spacing = spacing_of(row, col)
+    turn = 1 - is_centre(row, col, spacing)
+    a, b = around[number, (slot + 1 - turn) & 3], around[number, (slot - turn) & 3]
+    if a < 0 or b < 0:
+        return -1, -1
+    for corner in (number, np.int64(a), np.int64(b)):
+        if not is_valid(heights, places[corner, 0], places[corner, 1]):
+            return -1, -1
+    return a, b
+
+
+@jit
+def taken_slots(around, slots, weights, tolerance):
+    """For each vertex the slots, as bits, whose triangles are split."""
+    taken = np.zeros(slots.size, np.uint8)
+    for number in range(4, slots.size):
+        if weights[number] > tolerance:
+            slot = slots[number]
+            taken[around[number, (slot + 2) & 3]] |= 1 << slot
+            if around[number, slot] >= 0:
+                taken[around[number, slot]] |= 1 << ((slot + 2) & 3)
+    return taken
+
+
+@jit
+def triangles_of(heights, places, around, slots, weights, tolerance, flip):
+    """The triangles of the vertices above a tolerance: hypotenuse first, apex last."""
+    taken = taken_slots(around, slots, weights, tolerance)
+    triangles, n = np.empty((2 * slots.size + 2, 3), np.int32), 0
+    for number in range(1, slots.size):
+        if number >= 4 and not weights[number] > tolerance:
+            continue
+        for slot in range(4):
+            if taken[number] >> slot & 1:
+                continue
+            a, b = corners_of(heights, places, around, number, slot)
+            if a >= 0:
+                triangles[n, 0], triangles[n, 1] = (b, a) if flip else (a, b)
+                triangles[n, 2] = number
+                n += 1
+    return triangles[:n]
+
+
+@jit
+def renumber(triangles, n_vertices):
+    """Number the vertices that triangles have anew, in place; return their numbers so far."""
+    is_used = np.zeros(n_vertices, np.bool_)
+    for i in range(triangles.shape[0]):
+        for corner in range(3):
+            is_used[triangles[i, corner]] = True
+    before = np.flatnonzero(is_used)
+    number_of = np.empty(n_vertices, np.int32)
+    for number in range(before.size):
+        number_of[before[number]] = number
+    for i in range(triangles.shape[0]):
+        for corner in range(3):
+            triangles[i, corner] = number_of[triangles[i, corner]]
+    return before
+
+
+@jit
+def fill_vertices(heights, transform, places, around, slots, numbers, vertices, coarser):
+    """Write x, y and z of some vertices, and the height of the edge that each bisects."""
+    for i in range(numbers.size):
+        number = numbers[i]
+        row, col = places[number, 0], places[number, 1]
+        vertices[i, 0] = transform[0] * col + transform[1] * row + transform[2]
+        vertices[i, 1] = transform[3] * col + transform[4] * row + transform[5]
+        vertices[i, 2] = coarser[i] = heights[row, col]
+        if number < 4:
+            continue
+        a, b = around[number, (slots[number] + 1) & 3], around[number, (slots[number] + 3) & 3]
+        a_row, a_col, b_row, b_col = places[a, 0], places[a, 1], places[b, 0], places[b, 1]
+        if is_valid(heights, a_row, a_col) and is_valid(heights, b_row, b_col):
+            coarser[i] = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
+
+
+# --- budgets --------------------------------------------------------------------------------------
+
+
+@jit
+def triangles_gained(heights, places, around, slots, number):
+    """How many triangles more there are with a vertex than without it."""
+    gained = 0
+    row, col = places[number, 0], places[number, 1]
+    slot = slots[number]
+    a, b = around[number, (slot + 1) & 3], around[number, (slot + 3) & 3]
+    with_a = is_valid(heights, places[a, 0], places[a, 1])
+    with_b = is_valid(heights, places[b, 0], places[b, 1])
+    with_self = is_valid(heights, row, col)
+    for apex in (around[number, slot], around[number, (slot + 2) & 3]):
+        if apex >= 0 and is_valid(heights, places[apex, 0], places[apex, 1]):
+            gained += (with_self and with_a) + (with_self and with_b) - (with_a and with_b)
+    return gained
+
+
+@jit
+def tolerance_within(heights, places, around, slots, weights, n_triangles, budget):
+    """The smallest weight at which the vertices above it make no more triangles than a budget.
+
+    ``n_triangles`` are there without any vertex. Returns -1 where all fit.
+    """
+    key_shift = 46  # of a float64's bits: 64 buckets for each power of two
+    keys = weights[4:].view(np.int64) >> key_shift
+    if keys.size == 0:
+        return -1.0
+    lowest = keys.min()
+    gains = np.zeros(keys.max() - lowest + 1, np.int64)
+    for i in range(keys.size):
+        gains[keys[i] - lowest] += triangles_gained(heights, places, around, slots, i + 4)
+    bucket = gains.size - 1
+    while bucket >= 0 and n_triangles + gains[bucket] <= budget:
+        n_triangles += gains[bucket]
+        bucket -= 1
+    if bucket < 0:
+        return -1.0
+    numbers = np.flatnonzero(keys == bucket + lowest) + 4
+    numbers = numbers[np.argsort(-weights[numbers])]
+    i = 0
+    while i < numbers.size:
+        weight, of_ties = weights[numbers[i]], 0
+        while i < numbers.size and weights[numbers[i]] == weight:
+            of_ties += triangles_gained(heights, places, around, slots, numbers[i])
+            i += 1
+        if n_triangles + of_ties > budget:
+            return weight
+        n_triangles += of_ties
+    return -1.0
