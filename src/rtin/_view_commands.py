@@ -32,7 +32,7 @@ def view(
     ],
     pixel_error: Annotated[
         float, typer.Option(metavar="PIXELS", help="How far off a sample may be on the screen.")
-    ] = 2.0,
+    ] = 1.0,
     max_triangles: Annotated[
         int | None, typer.Option(metavar="N", help="A budget for each picture, instead.")
     ] = None,
@@ -81,7 +81,7 @@ def _settings(
     common: dict[str, Any] = {"pixel_error": pixel_error, "exaggeration": exaggeration}
     if max_triangles is not None:
         _require_more_than_zero("--max-triangles", max_triangles)
-        return Settings("budget", max_triangles=max_triangles, **common)
+        return Settings("triangle budget", max_triangles=max_triangles, **common)
     if max_error is not None:
         return Settings("tolerance", max_error=max_error, **common)
     return Settings(**common)

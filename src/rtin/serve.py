@@ -12,6 +12,7 @@ RFC 9110 for validators, content codings and methods.
 from __future__ import annotations
 
 import asyncio
+import errno
 import gzip
 import hashlib
 import json

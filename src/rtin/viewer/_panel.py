@@ -7,13 +7,18 @@ from typing import Any, get_args
 
 import viser
 
-from rtin.viewer.scene import Mode, Picture, Settings
+from rtin.viewer.scene import MOST_TRIANGLES, Mode, Picture, Settings
 
 __all__ = ["Panel", "told"]
 
-_MODES = dict(zip(("pixel error", "triangle budget", "tolerance"), get_args(Mode), strict=True))
-_MOST_PIXELS, _MOST_TRIANGLES, _MOST_HIGHER = 16.0, 500_000, 10.0
-_OF_THE_RANGE = 0.1  # the largest tolerance: of the range of heights
+_CHOSEN_BY = {
+    "pixel error": "pixel_error",
+    "triangle budget": "max_triangles",
+    "tolerance": "max_error",
+}
+_MOST_PIXELS, _MOST_HIGHER = 16.0, 10.0
+_OF_THE_RANGE = 0.1  # of heights: the largest tolerance
+_FIRST_OF_THAT = 0.05
 _STEPS = 1000
 
 
@@ -48,84 +53,84 @@ class Panel:
         self._first = settings
         self._controls: dict[str, Any] = {}
         self._told = gui.add_markdown("…")
-        self._mode: Any = None
         if height_range is not None:
-            self._add_levels(settings, height_range)
+            with gui.add_folder("Level of detail"):
+                self._add_levels(settings, height_range)
         with gui.add_folder("Picture"):
-            self._add("colours", gui.add_dropdown("Colours", tuple(colours), settings.colours))
-            self._add("wireframe", gui.add_checkbox("Wireframe", settings.wireframe))
-            higher = gui.add_slider(
-                "Exaggeration",
-                min(0.1, settings.exaggeration),
-                max(_MOST_HIGHER, settings.exaggeration),
-                0.1,
-                settings.exaggeration,
-                hint="Heights, times this",
+            first = settings.colours if settings.colours in colours else colours[0]
+            names = gui.add_dropdown("Colours", tuple(colours), initial_value=first)
+            self._add("colours", names)
+            edges = gui.add_checkbox("Wireframe", initial_value=settings.wireframe)
+            self._add("wireframe", edges)
+            self._add_slider(
+                "exaggeration", "Exaggeration", settings.exaggeration, 0.1, _MOST_HIGHER, 0.1
             )
-            self._add("exaggeration", higher)
 
     @property
     def settings(self) -> Settings:
         """What is chosen now."""
         chosen = {name: control.value for name, control in self._controls.items()}
-        mode = self._first.mode if self._mode is None else _MODES[self._mode.value]
-        return Settings(**{**vars(self._first), **chosen, "mode": mode})
+        return Settings(**{**vars(self._first), **chosen})
 
     def show(self, text: str) -> None:
         """Put a text, in Markdown, above the controls."""
         self._told.content = text
 
     def _add_levels(self, settings: Settings, height_range: float) -> None:
-        """Add the controls of the level of detail; of three sliders one is to be seen."""
-        gui = self._gui
+        """Add the mode, and three sliders of which one is to be seen."""
         most = _OF_THE_RANGE * height_range or 1.0
-        tolerance = most / 20.0 if settings.max_error is None else settings.max_error
-        chosen_values = {**vars(settings), "max_error": tolerance}
-        with gui.add_folder("Level of detail"):
-            chosen = next(name for name, mode in _MODES.items() if mode == settings.mode)
-            self._mode = gui.add_dropdown(
-                "By", tuple(_MODES), chosen,
-                hint="Pixel error and budget follow the camera; a tolerance holds everywhere",
-            )  # fmt: skip
-            sliders = {
-                "pixel_error": ("Pixel error", 0.25, _MOST_PIXELS, 0.25),
-                "max_triangles": ("Triangles", 1000, _MOST_TRIANGLES, 1000),
-                "max_error": ("Tolerance", 0.0, most, most / _STEPS),
-            }
-            for name, (label, low, high, step) in sliders.items():
-                value = chosen_values[name]
-                low, high = min(low, value), max(high, value)
-                self._add(name, gui.add_slider(label, low, high, step, value))
-        self._mode.on_update(self._choose_mode)
+        tolerance = _FIRST_OF_THAT * most if settings.max_error is None else settings.max_error
+        mode = self._gui.add_dropdown(
+            "By",
+            get_args(Mode),
+            initial_value=settings.mode,
+            hint="Pixel error and budget follow the camera; a tolerance holds everywhere.",
+        )
+        self._add("mode", mode)
+        self._add_slider(
+            "pixel_error", "Pixel error", settings.pixel_error, 0.25, _MOST_PIXELS, 0.25
+        )
+        self._add_slider(
+            "max_triangles", "Triangles", settings.max_triangles, 1000, MOST_TRIANGLES, 1000
+        )
+        self._add_slider("max_error", "Tolerance", tolerance, 0.0, most, most / _STEPS)
         self._show_the_slider()
+
+    def _add_slider(
+        self, name: str, label: str, value: float, low: float, high: float, step: float
+    ) -> None:
+        """Add a slider from ``low`` to ``high``, or as far as the first value wants."""
+        low, high = min(low, value), max(high, value)
+        slider = self._gui.add_slider(label, min=low, max=high, step=step, initial_value=value)
+        self._add(name, slider)
 
     def _add(self, name: str, control: Any) -> None:  # noqa: ANN401  (viser has no common class)
         self._controls[name] = control
         control.on_update(self._changed)
 
     async def _changed(self, _: object) -> None:
-        self._on_change()
-
-    async def _choose_mode(self, _: object) -> None:
-        self._show_the_slider()
+        if "mode" in self._controls:
+            self._show_the_slider()
         self._on_change()
 
     def _show_the_slider(self) -> None:
-        of_modes = dict(zip(get_args(Mode), _SLIDERS, strict=True))
-        for name in _SLIDERS:
-            self._controls[name].visible = name == of_modes[self.settings.mode]
-
-
-_SLIDERS = ("pixel_error", "max_triangles", "max_error")
+        for mode, name in _CHOSEN_BY.items():
+            self._controls[name].visible = mode == self._controls["mode"].value
 
 
 def told(picture: Picture, settings: Settings, frame_seconds: float) -> str:
     """Return the counts of a picture and what it took, in Markdown."""
-    counts = f"{picture.n_triangles:,} triangles, {picture.n_vertices:,} vertices".replace(",", " ")
-    counts = counts.replace("triangles ", "triangles, ")
+    lines = [
+        f"**{_spaced(picture.n_triangles)} triangles**, {_spaced(picture.n_vertices)} vertices"
+    ]
+    if picture.is_cut_short:
+        lines.append("as many as the page draws")
+    if picture.kept is not None:
+        unit = "in height" if settings.mode == "tolerance" else "pixels"
+        lines.append(f"within {picture.kept:.3g} {unit}")
     times = f"mesh {1e3 * picture.mesh_seconds:.1f} ms, frame {1e3 * frame_seconds:.0f} ms"
-    if picture.kept is None:
-        return f"**{counts}**  \n{times}"
-    if settings.mode == "tolerance":
-        return f"**{counts}**  \nwithin {picture.kept:.4g} in height  \n{times}"
-    return f"**{counts}**  \nwithin {picture.kept:.3g} pixels  \n{times}"
+    return "  \n".join([*lines, times])
+
+
+def _spaced(number: int) -> str:
+    return f"{number:,}".replace(",", " ")

@@ -30,9 +30,7 @@ try:
 
     from rtin.viewer._panel import Panel, told
 except ImportError as error:
-    raise ImportError(
-        f"the page needs viser ({error}): pip install 'rtin[view]'"
-    ) from None
+    raise ImportError(f"the page needs viser ({error}): pip install 'rtin[view]'") from None
 
 __all__ = ["Page", "Visitor", "run"]
 
@@ -105,7 +103,9 @@ class Visitor:
         self._moved = asyncio.Event()
         self._newest = Newest(self._draw, lambda error: self.panel.show(f"**{error}**"))
         self._flight: asyncio.Task[None] | None = None
-        self._flies = client.gui.add_checkbox("Fly round", False, hint="Until this is unchecked")
+        self._flies = client.gui.add_checkbox(
+            "Fly round", initial_value=False, hint="Until this is unchecked"
+        )
         self._flies.on_update(self._fly_or_stay)
         client.camera.max_orbit_distance = 10.0 * SIDE
         client.camera.on_update(self._follow)
@@ -177,8 +177,10 @@ def _view(camera: viser.CameraHandle) -> View:
     """Return where a client looks from; a window without any height is taken for a small one."""
     height, width = max(camera.image_height, 16), max(camera.image_width, 16)
     angle = min(max(math.degrees(camera.fov), 1.0), 170.0)
-    places = (tuple(map(float, p)) for p in (camera.position, camera.look_at, camera.up_direction))
-    return View(*places, angle, height, width / height)
+    eye, target, up = (
+        tuple(map(float, point)) for point in (camera.position, camera.look_at, camera.up_direction)
+    )
+    return View(eye, target, up, angle, height, width / height)
 
 
 def _on_path(turns: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

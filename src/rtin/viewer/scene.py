@@ -20,16 +20,34 @@ from rtin.io import _gltf
 from rtin.lod import LevelOfDetail, frustum
 from rtin.mesh import TriangleMesh
 
-__all__ = ["SIDE", "Picture", "Place", "Settings", "Terrain", "View", "bounds_of", "height_colours"]
+__all__ = [
+    "MOST_TRIANGLES",
+    "SIDE",
+    "Picture",
+    "Place",
+    "Settings",
+    "Terrain",
+    "View",
+    "bounds_of",
+    "height_colours",
+]
 
 SIDE = 100.0  # units: the longer side of a terrain
 _WIDER = 1.3  # than what is seen: a camera turns further before the next mesh is there
 _WIDEST = 150.0  # degrees
 _LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
+MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
 _INK = [0.02, 0.03, 0.05, 1.0]
 
+# What stands in for settings that take more than that.
+_SHORTER: dict[str, dict[str, Any]] = {
+    "pixel error": {"mode": "triangle budget", "max_triangles": MOST_TRIANGLES},
+    "triangle budget": {"max_triangles": MOST_TRIANGLES},
+    "tolerance": {"max_error": None},
+}
+
 _Floats = NDArray[np.float64]
-Mode = Literal["pixels", "budget", "tolerance"]
+Mode = Literal["pixel error", "triangle budget", "tolerance"]
 Painter = Callable[[TriangleMesh], _Floats]
 
 
@@ -38,11 +56,12 @@ class Settings:
     """What somebody who looks at a page has chosen.
 
     ``mode`` says what counts: ``pixel_error`` in pixels or ``max_triangles`` for what the camera
-    sees, or ``max_error`` in the heights' unit, everywhere; None lets the page choose it.
+    sees, or ``max_error`` in the heights' unit, everywhere; None takes as many
+    triangles as the page draws.
     """
 
-    mode: Mode = "pixels"
-    pixel_error: float = 2.0
+    mode: Mode = "pixel error"
+    pixel_error: float = 1.0
     max_triangles: int = 100_000
     max_error: float | None = None
     wireframe: bool = False
@@ -79,11 +98,11 @@ class Place(NamedTuple):
 
     def into_scene(self, points: ArrayLike, exaggeration: float = 1.0) -> _Floats:
         """Return points of the world, shape (..., 3), in the scene."""
-        return np.asarray((points - self.middle) * self._scales(exaggeration))
+        return (np.asarray(points, np.float64) - self.middle) * self._scales(exaggeration)
 
     def into_world(self, points: ArrayLike, exaggeration: float = 1.0) -> _Floats:
         """Return points of the scene, shape (..., 3), in the world."""
-        return np.asarray(points / self._scales(exaggeration) + self.middle)
+        return np.asarray(points, np.float64) / self._scales(exaggeration) + self.middle
 
     def _scales(self, exaggeration: float) -> _Floats:
         return self.scale * np.array([1.0, 1.0, exaggeration])
@@ -93,12 +112,14 @@ class Picture(NamedTuple):
     """What a view shows: a GLB to send, how much it holds, and what it took.
 
     ``kept`` is the tolerance in pixels or in the heights' unit, None for a mesh from a file.
+    ``is_cut_short`` where the one asked for takes more triangles than the page draws.
     """
 
     glb: NDArray[np.uint8]
     n_triangles: int
     n_vertices: int
     kept: float | None
+    is_cut_short: bool
     mesh_seconds: float
     seconds: float
 
@@ -147,6 +168,9 @@ class Terrain:
         """Return what a view shows of the terrain."""
         started = time.perf_counter()
         mesh, kept = self._cut(view, settings)
+        is_cut_short = self.has_levels and mesh.n_triangles > MOST_TRIANGLES
+        if is_cut_short:
+            mesh, kept = self._cut(view, replace(settings, **_SHORTER[settings.mode]))
         cut = time.perf_counter()
         paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
         vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
@@ -155,7 +179,7 @@ class Terrain:
         data = _glb(vertices, mesh.triangles, paint(mesh), edges, lift)
         done = time.perf_counter()
         counts = (mesh.n_triangles, mesh.n_vertices)
-        return Picture(data, *counts, kept, cut - started, done - started)
+        return Picture(data, *counts, kept, is_cut_short, cut - started, done - started)
 
     def _cut(self, view: View, settings: Settings) -> tuple[TriangleMesh, float | None]:
         """Return the mesh of a view, and the tolerance that it keeps."""
@@ -163,12 +187,13 @@ class Terrain:
             assert self._mesh is not None, "it is a grid or a mesh"
             return self._mesh, None
         if settings.mode == "tolerance":
-            assert settings.max_error is not None, "the controls have chosen one"
+            if settings.max_error is None:
+                return self._lod.mesh(max_triangles=MOST_TRIANGLES), None
             return self._lod.mesh(max_error=settings.max_error), settings.max_error
         # An error looks higher by the exaggeration; from as far away, or from further.
         higher = max(settings.exaggeration, 1.0)
         wanted: dict[str, Any] = {"pixel_error": settings.pixel_error / higher}
-        if settings.mode == "budget":
+        if settings.mode == "triangle budget":
             wanted = {"max_triangles": settings.max_triangles}
         eye, planes = self._seen(view, settings.exaggeration)
         frame = self._lod.frame(
