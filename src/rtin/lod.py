@@ -82,20 +82,21 @@ class _Walk(NamedTuple):
     """Vertices from the coarsest on, and what ``_kernels.lod.walk`` says of each."""
 
     places: NDArray[np.int32]
+    z: _Floats
     around: NDArray[np.int32]
     slots: NDArray[np.uint8]
     weights: _Floats
 
 
 class _View(NamedTuple):
-    """What the walk weighs with: nothing at all where heights count."""
+    """What the walk weighs with: ``eye`` and ``planes`` of ``_kernels.lod.walk``."""
 
     eye: _Floats
     planes: _Planes
 
 
 _NO_PLANES = np.empty((0, 4))
-_NOBODY = _View(np.empty(0), _NO_PLANES)
+_NOBODY = _View(np.zeros(7), _NO_PLANES)
 
 
 class LevelOfDetail:
@@ -133,6 +134,7 @@ class LevelOfDetail:
     def __init__(self, grid: Grid) -> None:
         self._grid: Grid | None = require_grid(grid)
         self._heights = grid.heights
+        self._changed: NDArray[np.floating[Any]] | None = None
         self._place = (grid.transform, grid.crs)
         self._flip = grid.transform.determinant > 0.0
         self._layout = _layout(grid.shape)
@@ -285,9 +287,12 @@ class LevelOfDetail:
         top, bottom = _span("rows", rows, self._heights.shape[0])
         left, right = _span("cols", cols, self._heights.shape[1])
         patch = _as_patch(heights, (bottom - top, right - left), self._heights)
-        if not self._heights.flags.writeable:
-            self._heights = self._heights.copy()
-        self._heights[top:bottom, left:right] = patch
+        if self._changed is None:
+            self._changed = self._heights.copy()
+            # The kernels get a view to read only, as of a grid: they are compiled for those.
+            self._heights = self._changed.view()
+            self._heights.flags.writeable = False
+        self._changed[top:bottom, left:right] = patch
         self._grid = None
         for level, kind in _generations(self._layout):
             spacing = 1 << level
@@ -388,7 +393,7 @@ class LevelOfDetail:
         """
         from rtin._kernels.lod import tolerance_within
 
-        kind = bool(view.eye.size)
+        kind = view is not _NOBODY
         search = _Search(self._guesses[kind])
         most = 2 * budget + _SPARE
         while True:
@@ -397,10 +402,10 @@ class LevelOfDetail:
                 search.go_coarser()
                 continue
             n_coarsest = len(self._triangles(walked, math.inf))
-            tolerance = tolerance_within(self._heights, *walked, n_coarsest, budget)
+            tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
-            search.go_finer(len(walked.weights) / budget)
+            search.go_finer(2 * len(walked.weights) / budget)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
             self._guesses[kind] = max(_A_BIT_FINER * tolerance, _FINEST)
@@ -415,7 +420,7 @@ class LevelOfDetail:
         """Return the triangles of the vertices above a tolerance, numbered as in the walk."""
         from rtin._kernels.lod import triangles_of
 
-        return np.asarray(triangles_of(self._heights, *walked, tolerance, self._flip))
+        return np.asarray(triangles_of(*walked, tolerance, self._flip))
 
     def _mesh_of(self, walked: _Walk, tolerance: float) -> tuple[TriangleMesh, _Floats, _Floats]:
         """Return the mesh of a tolerance, what it morphs from, and what its vertices weigh."""
@@ -426,7 +431,7 @@ class LevelOfDetail:
         vertices, coarser = np.empty((len(numbers), 3)), np.empty(len(numbers))
         transform, crs = self._place
         numbers_of_transform = np.array(tuple(transform)[:6], np.float64)
-        fill_vertices(self._heights, numbers_of_transform, *walked[:3], numbers, vertices, coarser)
+        fill_vertices(numbers_of_transform, *walked[:4], numbers, vertices, coarser)
         return TriangleMesh(vertices, triangles, crs), coarser, walked.weights[numbers]
 
 
@@ -508,7 +513,7 @@ class _Search:
     def go_finer(self, share: float) -> None:
         """Go on after a walk that found that share of the budget."""
         self._too_coarse = self.tolerance
-        wanted = self.tolerance * min(max(share, 1.0 / 64.0), 0.9)
+        wanted = self.tolerance * min(max(_A_BIT_FINER * share, 1.0 / 64.0), _A_BIT_FINER)
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:
