@@ -39,12 +39,6 @@ _LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that 
 MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
 _INK = [0.02, 0.03, 0.05, 1.0]
 
-# What stands in for settings that take more than that.
-_SHORTER: dict[str, dict[str, Any]] = {
-    "pixel error": {"mode": "triangle budget", "max_triangles": MOST_TRIANGLES},
-    "triangle budget": {"max_triangles": MOST_TRIANGLES},
-    "tolerance": {"max_error": None},
-}
 
 _Floats = NDArray[np.float64]
 Mode = Literal["pixel error", "triangle budget", "tolerance"]
@@ -115,7 +109,7 @@ class Picture(NamedTuple):
     ``is_cut_short`` where the one asked for takes more triangles than the page draws.
     """
 
-    glb: NDArray[np.uint8]
+    glb: bytes
     n_triangles: int
     n_vertices: int
     kept: float | None
@@ -158,7 +152,7 @@ class Terrain:
         """Whether there is a level of detail to choose."""
         return self._lod is not None
 
-    def counts(self, view: View, settings: Settings) -> tuple[Any, ...]:
+    def depends_on(self, view: View, settings: Settings) -> tuple[Any, ...]:
         """Return what a picture depends on: where it is equal, so is the picture."""
         if not self.has_levels or settings.mode == "tolerance":
             return (self, replace(settings, pixel_error=0.0, max_triangles=0))
@@ -170,7 +164,7 @@ class Terrain:
         mesh, kept = self._cut(view, settings)
         is_cut_short = self.has_levels and mesh.n_triangles > MOST_TRIANGLES
         if is_cut_short:
-            mesh, kept = self._cut(view, replace(settings, **_SHORTER[settings.mode]))
+            mesh, kept = self._cut(view, _shorter(settings))
         cut = time.perf_counter()
         paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
         vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
@@ -215,12 +209,21 @@ class Terrain:
         return self.place.into_world(view.eye, exaggeration), planes
 
 
+def _shorter(settings: Settings) -> Settings:
+    """Return settings that give as many triangles as the page draws."""
+    if settings.mode == "tolerance":
+        return replace(settings, max_error=None)
+    return replace(settings, mode="triangle budget", max_triangles=MOST_TRIANGLES)
+
+
 def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
     """Return least and largest x, y, z of a grid's lattice or of a mesh, shape (2, 3)."""
     if isinstance(surface, TriangleMesh):
         return surface.bounds
     rows, cols = surface.shape
-    ends = np.array([surface.transform * (c, r) for c in (0, cols - 1) for r in (0, rows - 1)])
+    a, b, x0, d, e, y0 = tuple(surface.transform)[:6]
+    corners = [(col, row) for col in (0, cols - 1) for row in (0, rows - 1)]
+    ends = np.array([(a * col + b * row + x0, d * col + e * row + y0) for col, row in corners])
     low, high = np.nanmin(surface.heights), np.nanmax(surface.heights)
     return np.array([[*ends.min(axis=0), low], [*ends.max(axis=0), high]], np.float64)
 
@@ -237,10 +240,10 @@ def _glb(
     colours: _Floats,
     edges: NDArray[np.int64] | None,
     lift: float,
-) -> NDArray[np.uint8]:
+) -> bytes:
     """Return triangles of these colours, unlit, and ``edges`` so much above them, as a GLB.
 
-    An array, since viser sends arrays as they are and packs bytes. Its world has z up within a GLB.
+    z is up, as viser has it within a GLB, too.
     """
     attributes: dict[str, NDArray[Any]] = {
         "POSITION": vertices.astype("<f4"),
@@ -255,7 +258,7 @@ def _glb(
         if edges is not None:
             _add_edges(tree, lift)
 
-    return np.frombuffer(_gltf.packed(triangles.astype("<u4"), attributes, finish), np.uint8)
+    return _gltf.packed(triangles.astype("<u4"), attributes, finish)
 
 
 def _sixteen_bits(colours: _Floats) -> NDArray[np.uint16]:
