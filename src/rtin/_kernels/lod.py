@@ -32,6 +32,7 @@ from rtin._kernels.planes import largest_in_row, triangle_plane
 CENTRE, EDGE = 0, 3  # columns of the layout
 ANY, ALL = 1, 2
 ERROR, LOW, HIGH = 0, 1, 2
+MIXED = 4  # beside a slot: a triangle is split there to tell heights from voids
 SMALL = 16  # the spacing of triangles that are searched sample by sample
 SHORT = 8  # rows of triangles for which vector speed does not pay
 LEAST = 1e-45  # that float32 holds
@@ -121,22 +122,39 @@ def side_of(row, col, apex_row, apex_col):
 
 
 @jit
+def part_bound(heights, layout, own, wholes, plane_row, plane_col, plane, row, col, direction):
+    """No sample of a part of a triangle is farther from its plane; inf where nothing is known."""
+    v_row, v_col = midpoint(row, col, spacing_of(row, col), direction)
+    spacing = spacing_of(v_row, v_col)
+    kind = CENTRE if is_centre(v_row, v_col, spacing) else EDGE
+    entry = entry_of(layout, level_of(spacing), kind, v_row, v_col)
+    if not wholes[entry] >> side_of(v_row, v_col, row, col) & ALL:
+        return np.inf  # the own error leaves out triangles that have a void for a corner
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing_of(row, col), direction)
+    farthest = tilt(heights, plane_row, plane_col, plane, row, col)
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, a_row, a_col))
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, b_row, b_col))
+    return farthest + own[entry]
+
+
+@jit
 def triangle_error(heights, layout, own, wholes, row, col, direction):
     """Largest distance of a sample of a triangle with three heights from its plane.
 
-    By branch and bound: no sample of a part is farther away than the part's own error and the
-    distance of its corners together.
+    By branch and bound, the more promising half first: no sample of a part is farther away than
+    the part's own error and the distance of its corners together.
     """
     spacing = spacing_of(row, col)
     plane = triangle_plane(heights, row, col, spacing, direction, is_centre(row, col, spacing))
     if spacing <= SMALL:
         return search(heights, row, col, plane, row, col, direction, 0.0)
     largest = 0.0
-    stack, n_stack = np.empty((128, 3), np.int64), 1
-    stack[0, 0], stack[0, 1], stack[0, 2] = row, col, direction
-    is_first = True  # its own error is not known yet
+    stack, bounds, n_stack = np.empty((64, 3), np.int64), np.empty(64, np.float64), 1
+    stack[0, 0], stack[0, 1], stack[0, 2], bounds[0] = row, col, direction, np.inf
     while n_stack > 0:
         n_stack -= 1
+        if bounds[n_stack] <= largest:
+            continue
         t_row, t_col, t_direction = stack[n_stack, 0], stack[n_stack, 1], stack[n_stack, 2]
         t_spacing = spacing_of(t_row, t_col)
         if t_spacing <= SMALL:
@@ -144,27 +162,20 @@ def triangle_error(heights, layout, own, wholes, row, col, direction):
             continue
         v_row, v_col = midpoint(t_row, t_col, t_spacing, t_direction)
         a_row, a_col, b_row, b_col = hypotenuse(t_row, t_col, t_spacing, t_direction)
-        v_spacing = spacing_of(v_row, v_col)
-        v_is_centre = is_centre(v_row, v_col, v_spacing)
-        kind = CENTRE if v_is_centre else EDGE
-        entry = entry_of(layout, level_of(v_spacing), kind, v_row, v_col)
-        at_middle = tilt(heights, row, col, plane, v_row, v_col)
-        largest = at_middle if at_middle > largest else largest
-        # The own errors of triangles with voids say nothing where a corner is one.
-        is_whole = wholes[entry] >> side_of(v_row, v_col, t_row, t_col) & ALL
-        if is_whole and not is_first:
-            farthest = tilt(heights, row, col, plane, t_row, t_col)
-            farthest = max(farthest, tilt(heights, row, col, plane, a_row, a_col))
-            farthest = max(farthest, tilt(heights, row, col, plane, b_row, b_col))
-            if farthest + own[entry] <= largest:
-                continue
-        is_first = False
+        along_axis = is_centre(v_row, v_col, spacing_of(v_row, v_col))
         for leg in range(2):
             end_row, end_col = (a_row, a_col) if leg == 0 else (b_row, b_col)
             to_row, to_col = (t_row + end_row) // 2 - v_row, (t_col + end_col) // 2 - v_col
-            stack[n_stack, 0], stack[n_stack, 1] = v_row, v_col
-            stack[n_stack, 2] = direction_towards(v_is_centre, to_row, to_col)
-            n_stack += 1
+            half = direction_towards(along_axis, to_row, to_col)
+            stack[n_stack + leg, 0], stack[n_stack + leg, 1] = v_row, v_col
+            stack[n_stack + leg, 2] = half
+            bounds[n_stack + leg] = part_bound(
+                heights, layout, own, wholes, row, col, plane, v_row, v_col, half
+            )
+        if bounds[n_stack] > bounds[n_stack + 1]:
+            bounds[n_stack], bounds[n_stack + 1] = bounds[n_stack + 1], bounds[n_stack]
+            stack[n_stack, 2], stack[n_stack + 1, 2] = stack[n_stack + 1, 2], stack[n_stack, 2]
+        n_stack += 2
     return largest
 
 
@@ -296,13 +307,24 @@ def must_split(heights, bits, row, col):
 
 
 @jit
-def renew_own(heights, layout, level, kind, first, end, left, right, own, wholes):
-    """Write own errors and wholes of some rows and places of a generation."""
+def touches(kind, spacing, row, col, patch):
+    """Whether a triangle whose hypotenuse a vertex bisects may have a sample of a patch.
+
+    The patch is given by its first and end row, and its first and end column.
+    """
+    down = max(patch[0] - row, row - patch[1] + 1, 0)
+    across = max(patch[2] - col, col - patch[3] + 1, 0)
+    return max(down, across) <= spacing if kind == CENTRE else down + across <= spacing
+
+
+@jit
+def renew_own(heights, layout, patch, level, kind, first, end, left, right, own, wholes):
+    """Write own errors and wholes of some rows and places of a generation, if a patch matters."""
     size = 1 << len(layout)
     for i in range(first, end):
         for j in range(left, right):
             row, col = vertex_at(level, kind, i, j)
-            if is_inside(row, col, size):
+            if is_inside(row, col, size) and touches(kind, 1 << level, row, col, patch):
                 entry = entry_of(layout, level, kind, row, col)
                 if level == 0 and is_whole_cell(heights, row, col):
                     wholes[entry] = 5 * (ANY | ALL)
@@ -338,7 +360,8 @@ def unit_bounds_at_voids(heights, row, col):
             between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
             error = abs(between - height)
     if must_split(heights, unit_wholes(heights, row, col), row, col):
-        error = -max(error, LEAST)
+        low, high = range_of_corners(heights, row, col)
+        return -max(error, LEAST), low, high
     return error, height, height
 
 
@@ -569,7 +592,7 @@ def descend(
     eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
     row_length, col_length = eye[3], eye[4]
     breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
-    reach = reach_of(level, kind) + 1e-6
+    reach_of_samples = reach_of(level, kind) + 1e-6
     turn = kind == CENTRE
     first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
     table = tabled(places, first, end, level)
@@ -597,13 +620,16 @@ def descend(
                 entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
                 error = np.float64(bounds[entry, ERROR])
                 low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+            is_mixed = error < 0.0
+            # The outline is off as far as the corners of finest triangles are.
+            reach = reach_of_samples + is_mixed
             if scale == 0.0:
-                weight = min(weight, np.inf if error < 0.0 else error)
+                weight = min(weight, np.inf if is_mixed else error)
             else:
                 down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
                 across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
                 up = max(low - eye_z, eye_z - high, 0.0)
-                error = error if error >= 0.0 else max(-error, breadth)
+                error = max(-error, breadth) if is_mixed else error
                 weight = min(weight, as_seen(error, scale, down, across, up))
             if not weight > tolerance:
                 continue
@@ -615,7 +641,7 @@ def descend(
             around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
             around[n, (slot + 2) & 3] = number
             around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
-            slots[n], weights[n] = slot, weight
+            slots[n], weights[n] = slot + MIXED * is_mixed, weight
             n += 1
     return n
 
@@ -631,7 +657,8 @@ def walk(heights, layout, bounds, eye, planes, tolerance, most):
 
     Of each vertex: its place and height; the numbers of the four corners around it, clockwise from
     north or north-west, -1 where that is outside; the slot of its second apex among them, which is
-    its own slot around the first; what it weighs. The first four are the lattice's corners.
+    its own slot around the first, and whether it is mixed; what it weighs. The first four are the
+    lattice's corners.
     """
     size = 1 << len(layout)
     places, z = np.empty((1024, 2), np.int32), np.empty(1024, np.float64)
@@ -695,7 +722,7 @@ def taken_slots(around, slots, weights, tolerance):
     taken = np.zeros(slots.size, np.uint8)
     for number in range(4, slots.size):
         if weights[number] > tolerance:
-            slot = slots[number]
+            slot = slots[number] & 3
             taken[around[number, (slot + 2) & 3]] |= 1 << slot
             if around[number, slot] >= 0:
                 taken[around[number, slot]] |= 1 << ((slot + 2) & 3)
@@ -743,15 +770,19 @@ def renumber(triangles, n_vertices):
 
 @jit
 def fill_vertices(transform, places, z, around, slots, numbers, vertices, coarser):
-    """Write x, y and z of some vertices, and the height of the edge that each bisects."""
+    """Write x, y and z of some vertices, and the height of the edge that each bisects.
+
+    Its own height where it is mixed: the triangles before were not drawn, or over voids, so no
+    promise was kept on that edge.
+    """
     for i in range(numbers.size):
         number = numbers[i]
         row, col = places[number, 0], places[number, 1]
         vertices[i, 0] = transform[0] * col + transform[1] * row + transform[2]
         vertices[i, 1] = transform[3] * col + transform[4] * row + transform[5]
         vertices[i, 2] = coarser[i] = z[number]
-        if number >= 4:
-            slot = slots[number]
+        slot = slots[number]
+        if number >= 4 and slot < MIXED:
             between = (z[around[number, (slot + 1) & 3]] + z[around[number, (slot + 3) & 3]]) / 2
             if between == between:
                 coarser[i] = between
