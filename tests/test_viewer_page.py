@@ -517,6 +517,7 @@ def test_another_terrain_takes_the_place_of_the_first(browser):
         page.replace(Terrain(hills(), place=coarse.place))
         after = tab.settled()
         tab.tab.close()
+    page.replace(coarse)  # nobody is there any more
     tab.assert_clean()
     assert after > 10 * before
 

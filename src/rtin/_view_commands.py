@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,17 +12,17 @@ import typer
 from rtin._console import (
     Band,
     Encoding,
-    EncodingName,
     announce,
+    one_line,
     one_line_errors,
     progress,
+    say,
     say_if_not_compiled,
 )
 
 if TYPE_CHECKING:
-    from rtin.grid import Grid
-    from rtin.mesh import TriangleMesh
-    from rtin.viewer.scene import Settings
+    from rtin.viewer.opening import Opened
+    from rtin.viewer.scene import Place, Settings, Terrain
 
 __all__ = ["view"]
 
@@ -50,20 +51,31 @@ def view(
     encoding: Encoding = None,
 ) -> None:
     """Look at a raster or a mesh in the browser; the level of detail follows the camera."""
-    with one_line_errors():
-        from rtin.viewer import page as pages
-        from rtin.viewer.scene import Terrain
+    with one_line_errors(), ExitStack() as stack:
+        from rtin.viewer.opening import Opening
+        from rtin.viewer.page import Page, run
 
         settings = _settings(pixel_error, max_triangles, max_error, exaggeration)
         with progress(f"opening {path.name}"):
-            surface = _surface(path, band, encoding)
+            opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
+            first = opening.first()
         say_if_not_compiled("rtin.lod")
         with progress(f"preparing {path.name}"):
-            terrain = Terrain(surface)
-        with pages.Page(terrain, host, port, settings=settings, title=path.name) as page:
-            if not no_browser:
-                webbrowser.open(page.address)
-            pages.run(page, say=announce)
+            terrain = _terrain(first)
+        page = stack.enter_context(Page(terrain, host, port, settings=settings, title=path.name))
+        opening.go_on(
+            lambda finer: page.replace(_terrain(finer, terrain.place)),
+            lambda error: say(f"the rest of {path.name} is not shown: {one_line(error)}"),
+        )
+        if not no_browser:
+            webbrowser.open(page.address)
+        run(page, say=announce)
+
+
+def _terrain(opened: Opened, place: Place | None = None) -> Terrain:
+    from rtin.viewer.scene import Terrain
+
+    return Terrain(opened.surface, place=place, note=opened.note)
 
 
 def _settings(
@@ -90,13 +102,3 @@ def _settings(
 def _require_more_than_zero(flag: str, value: float) -> None:
     if not 0.0 < value < float("inf"):
         raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
-
-
-def _surface(path: Path, band: int, encoding: EncodingName | None) -> Grid | TriangleMesh:
-    from rtin.io.meshes import is_mesh_path, read_mesh
-
-    if is_mesh_path(path):
-        return read_mesh(path)
-    from rtin.io.grids import read_grid
-
-    return read_grid(path, band=band, encoding=encoding).in_metres()

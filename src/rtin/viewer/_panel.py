@@ -118,8 +118,8 @@ class Panel:
             self._controls[name].visible = mode == self._controls["mode"].value
 
 
-def told(picture: Picture, settings: Settings, frame_seconds: float) -> str:
-    """Return the counts of a picture and what it took, in Markdown."""
+def told(picture: Picture, settings: Settings, frame_seconds: float, note: str = "") -> str:
+    """Return the counts of a picture, what it took, and a note, in Markdown."""
     lines = [
         f"**{_spaced(picture.n_triangles)} triangles**, {_spaced(picture.n_vertices)} vertices"
     ]
@@ -129,7 +129,7 @@ def told(picture: Picture, settings: Settings, frame_seconds: float) -> str:
         unit = "in height" if settings.mode == "tolerance" else "pixels"
         lines.append(f"within {picture.kept:.3g} {unit}")
     times = f"mesh {1e3 * picture.mesh_seconds:.1f} ms, frame {1e3 * frame_seconds:.0f} ms"
-    return "  \n".join([*lines, times])
+    return "  \n".join([*lines, times, *filter(None, [note])])
 
 
 def _spaced(number: int) -> str:

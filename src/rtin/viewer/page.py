@@ -136,7 +136,7 @@ class Visitor:
         picture = await asyncio.wrap_future(draw)
         await self._show(picture)
         self.picture, self._drawn = picture, wanted
-        self.panel.show(told(picture, settings, time.perf_counter() - started))
+        self.panel.show(told(picture, settings, time.perf_counter() - started, terrain.note))
 
     async def _show(self, picture: Picture) -> None:
         """Put a picture into the node behind, then bring that one to the front."""
@@ -246,8 +246,8 @@ class Page:
     def replace(self, terrain: Terrain) -> None:
         """Show another terrain to everybody; from any thread."""
         self.terrain = terrain
-        loop = self._server.get_event_loop()
-        loop.call_soon_threadsafe(self._ask_all)
+        with suppress(RuntimeError):  # of a loop that is closed: there is nobody to show it to
+            self._server.get_event_loop().call_soon_threadsafe(self._ask_all)
 
     def close(self) -> None:
         """Let everybody go, and end the server and its threads."""

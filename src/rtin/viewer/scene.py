@@ -132,6 +132,8 @@ class Terrain:
     painters : dict of functions, optional
         By the names that ``Settings.colours`` may have: each returns sRGB colours in 0..1, shape
         (n, 3), for the vertices of a mesh. By default there is "height".
+    note : str
+        What there is to be seen, in one line.
     """
 
     def __init__(
@@ -140,7 +142,9 @@ class Terrain:
         *,
         place: Place | None = None,
         painters: dict[str, Painter] | None = None,
+        note: str = "",
     ) -> None:
+        self.note = note
         self.bounds = bounds_of(surface)
         self.place = place or Place.of(self.bounds)
         self.painters = painters or {"height": height_colours(self.bounds)}
