@@ -29,7 +29,6 @@ __all__ = [
     "Terrain",
     "View",
     "bounds_of",
-    "height_colours",
 ]
 
 SIDE = 100.0  # units: the longer side of a terrain
@@ -37,6 +36,7 @@ _WIDER = 1.3  # than what is seen: a camera turns further before the next mesh i
 _WIDEST = 150.0  # degrees
 _LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
 MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
+_SHADE = 0.3  # of the colour: what is left where no light falls
 _INK = [0.02, 0.03, 0.05, 1.0]
 
 
@@ -59,7 +59,7 @@ class Settings:
     max_triangles: int = 100_000
     max_error: float | None = None
     wireframe: bool = False
-    colours: str = "height"
+    colours: str = "hillshade"
     exaggeration: float = 1.0
 
 
@@ -131,7 +131,8 @@ class Terrain:
         That of a terrain which this one takes the place of; its own by default.
     painters : dict of functions, optional
         By the names that ``Settings.colours`` may have: each returns sRGB colours in 0..1, shape
-        (n, 3), for the vertices of a mesh. By default there is "height".
+        (n, 3), for the vertices of a mesh. By default there are "hillshade", lit by the slopes of
+        the mesh that is drawn, and "height".
     note : str
         What there is to be seen, in one line.
     """
@@ -147,7 +148,7 @@ class Terrain:
         self.note = note
         self.bounds = bounds_of(surface)
         self.place = place or Place.of(self.bounds)
-        self.painters = painters or {"height": height_colours(self.bounds)}
+        self.painters = painters or _usual_painters(self.bounds)
         self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
         self._mesh = surface if isinstance(surface, TriangleMesh) else None
 
@@ -232,10 +233,24 @@ def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
     return np.array([[*ends.min(axis=0), low], [*ends.max(axis=0), high]], np.float64)
 
 
-def height_colours(bounds: _Floats) -> Painter:
-    """Return what tints vertices by height, from the least to the largest of ``bounds``."""
+def _usual_painters(bounds: _Floats) -> dict[str, Painter]:
+    """Return what tints vertices by height, from the least to the largest, and what lights them."""
     low, high = bounds[:, 2]
-    return lambda mesh: _tint.tint(mesh.vertices[:, 2], low, high)
+
+    def tinted(mesh: TriangleMesh) -> _Floats:
+        return _tint.tint(mesh.vertices[:, 2], low, high)
+
+    def lit(mesh: TriangleMesh) -> _Floats:
+        light = _tint.hillshade(_normals(mesh))
+        return np.asarray(tinted(mesh) * (_SHADE + light[:, np.newaxis]))
+
+    return {"hillshade": lit, "height": tinted}
+
+
+def _normals(mesh: TriangleMesh) -> _Floats:
+    corners = mesh.vertices[mesh.triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return _gltf.normals_of(crosses, mesh.triangles, mesh.n_vertices)
 
 
 def _glb(
