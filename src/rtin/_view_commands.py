@@ -42,6 +42,10 @@ def view(
         typer.Option(metavar="HEIGHT", help="A tolerance that holds everywhere, instead."),
     ] = None,
     exaggeration: Annotated[float, typer.Option(metavar="TIMES", help="Heights times this.")] = 1.0,
+    photo: Annotated[
+        Path | None,
+        typer.Option("--orthophoto", metavar="IMAGE", help="Lay a picture over the terrain."),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
     no_browser: Annotated[
@@ -61,10 +65,10 @@ def view(
             first = opening.first()
         say_if_not_compiled("rtin.lod")
         with progress(f"preparing {path.name}"):
-            terrain = _terrain(first)
+            terrain = _terrain(first, photo)
         page = stack.enter_context(Page(terrain, host, port, settings=settings, title=path.name))
         opening.go_on(
-            lambda finer: page.replace(_terrain(finer, terrain.place)),
+            lambda finer: page.replace(_terrain(finer, photo, terrain.place)),
             lambda error: say(f"the rest of {path.name} is not shown: {one_line(error)}"),
         )
         if not no_browser:
@@ -72,10 +76,11 @@ def view(
         run(page, say=announce)
 
 
-def _terrain(opened: Opened, place: Place | None = None) -> Terrain:
-    from rtin.viewer.scene import Terrain
+def _terrain(opened: Opened, photo: Path | None, place: Place | None = None) -> Terrain:
+    from rtin.viewer.scene import Terrain, painters_of
 
-    return Terrain(opened.surface, place=place, note=opened.note)
+    painters = painters_of(opened, photo)
+    return Terrain(opened.surface, place=place, painters=painters, note=opened.note)
 
 
 def _settings(

@@ -305,10 +305,8 @@ def opened(name: str, overview: int | None = None) -> Iterator[Any]:
         yield dataset
 
 
-def open_raster(
-    name: str, *, n_threads: str = "1", overview: int | None = None
-) -> Any:  # noqa: ANN401  (rasterio has no types)
-    """Return a raster's dataset, opened without a word on stderr, and checked to be whole.
+def open_raster(name: str, *, n_threads: str = "1", overview: int | None = None) -> Any:  # noqa: ANN401
+    """Return rasterio's dataset, opened without a word on stderr, and checked to be whole.
 
     With one thread GDAL starts none of its own, which a forked process would wait for in vain.
     """

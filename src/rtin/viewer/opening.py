@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from affine import Affine
@@ -117,10 +117,7 @@ class Opening:
         OSError, TypeError, ValueError, MemoryError
             As ``read_grid`` and ``read_mesh``.
         """
-        if self._raster is None:
-            opened = _opened_mesh(self._path)
-        else:
-            opened = next(self._all_opened())
+        opened = _opened_mesh(self._path) if self._raster is None else next(self._all_opened())
         self._is_whole = opened.is_final
         return opened
 
@@ -219,7 +216,7 @@ class _Raster:
         yield final, True
 
     def opened(
-        self, heights: NDArray[np.floating[np.generic]], reading: Reading, is_final: bool
+        self, heights: NDArray[np.floating[Any]], reading: Reading, is_final: bool
     ) -> Opened:
         levels, metres = self.levels, self._metres
         place = levels.place(reading)
@@ -232,10 +229,10 @@ class _Raster:
             raise type(error)(f"{levels.name}: {error}") from None
         to_crs = _IDENTITY if metres is None else metres.undone()
         step = max(levels.spacing(reading))
-        note = self._note(reading, step, is_final)
+        note = self._note(step, is_final)
         return Opened(grid, self._bounds, levels.crs, to_crs, step, is_final, note)
 
-    def _note(self, reading: Reading, step: float, is_final: bool) -> str:
+    def _note(self, step: float, is_final: bool) -> str:
         """Return what is to be seen, and why no more than that."""
         rows, cols = self.levels.shape
         if step == 1.0:
@@ -255,7 +252,7 @@ def _ends(transform: Affine, shape: tuple[int, int]) -> NDArray[np.float64]:
     return np.array([(a * c + b * r + x, d * c + e * r + y) for c, r in corners])
 
 
-def _has_a_triangle(heights: NDArray[np.floating[np.generic]]) -> bool:
+def _has_a_triangle(heights: NDArray[np.floating[Any]]) -> bool:
     """Return whether three samples of a cell have heights."""
     valid = (heights == heights).view(np.uint8)
     pairs = valid[:-1] + valid[1:]

@@ -6,8 +6,8 @@ and float32 vertices are good to a hundred-thousandth of a unit. z is up.
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -19,6 +19,8 @@ from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.lod import LevelOfDetail, frustum
 from rtin.mesh import TriangleMesh
+from rtin.viewer.colours import Drape, Painter, by_error, by_height, hillshade, orthophoto
+from rtin.viewer.opening import Opened
 
 __all__ = [
     "MOST_TRIANGLES",
@@ -29,6 +31,7 @@ __all__ = [
     "Terrain",
     "View",
     "bounds_of",
+    "painters_of",
 ]
 
 SIDE = 100.0  # units: the longer side of a terrain
@@ -42,7 +45,6 @@ _INK = [0.02, 0.03, 0.05, 1.0]
 
 _Floats = NDArray[np.float64]
 Mode = Literal["pixel error", "triangle budget", "tolerance"]
-Painter = Callable[[TriangleMesh], _Floats]
 
 
 @dataclass(frozen=True)
@@ -233,12 +235,26 @@ def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
     return np.array([[*ends.min(axis=0), low], [*ends.max(axis=0), high]], np.float64)
 
 
+def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> dict[str, Painter]:
+    """Return the painters of a terrain that has been opened, and one of a photograph over it.
+
+    Those of a mesh from a file light it by its own slopes. Raises as ``orthophoto`` does.
+    """
+    bounds = bounds_of(opened.surface)
+    painters: dict[str, Painter] = {}
+    under: Drape | None = None
+    if isinstance(opened.surface, Grid):
+        under = hillshade(opened.surface)
+        painters = {"hillshade": under.colours, "height": by_height(*bounds[:, 2].tolist())}
+        painters["error"] = by_error(opened.surface)
+    if photo is not None:
+        painters = {"orthophoto": orthophoto(photo, opened, under=under).colours, **painters}
+    return {**_usual_painters(bounds), **painters} if under is None else painters
+
+
 def _usual_painters(bounds: _Floats) -> dict[str, Painter]:
     """Return what tints vertices by height, from the least to the largest, and what lights them."""
-    low, high = bounds[:, 2]
-
-    def tinted(mesh: TriangleMesh) -> _Floats:
-        return _tint.tint(mesh.vertices[:, 2], low, high)
+    tinted = by_height(*bounds[:, 2].tolist())
 
     def lit(mesh: TriangleMesh) -> _Floats:
         light = _tint.hillshade(_normals(mesh))
