@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 import rtin
 from test_html_page import CHROMIUM, FLAGS, pixels, terrain_share
@@ -24,6 +25,7 @@ pytest.importorskip("viser")
 from rtin.viewer import page as pages
 from rtin.viewer import scene
 from rtin.viewer._panel import told
+from rtin.viewer.opening import Opening
 from rtin.viewer.scene import SIDE, Place, Settings, Terrain, View
 from test_serve import interrupted, started
 
@@ -596,3 +598,34 @@ def test_the_command_tells_that_viser_is_missing(tmp_path):
     assert done.returncode == 1
     assert "pip install 'rtin[view]'" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def write_photo(path):
+    """A picture without a place: its west half is red, its east half blue."""
+    picture = np.zeros((20, 40, 3), np.uint8)
+    picture[:, :20, 0] = picture[:, 20:, 2] = 255
+    Image.fromarray(picture).save(path)
+
+
+def test_what_is_opened_has_its_colours(tmp_path):
+    write_photo(tmp_path / "photo.png")
+    np.save(tmp_path / "hills.npy", hills().heights)
+    with Opening(tmp_path / "hills.npy") as opening:
+        opened = opening.first()
+    painters = scene.painters_of(opened, tmp_path / "photo.png")
+    assert list(painters) == ["orthophoto", "hillshade", "height", "error"]
+    shown = Terrain(opened.surface, painters=painters)
+    colours = {}
+    for name in painters:
+        glb = shown.draw(OVERVIEW, Settings(colours=name)).glb
+        positions, _, colours[name], _ = decoded(glb)
+    assert len({values.tobytes() for values in colours.values()}) == 4
+    west = positions[:, 0] < -5.0
+    assert np.array_equal(np.unique(colours["orthophoto"][west], axis=0), [[65535, 0, 0, 65535]])
+
+
+def test_a_mesh_that_is_opened_has_its_colours(tmp_path):
+    rtin.write_mesh(rtin.coarsen(hills(), max_error=30.0), tmp_path / "hills.ply")
+    with Opening(tmp_path / "hills.ply") as opening:
+        painters = scene.painters_of(opening.first())
+    assert list(painters) == ["hillshade", "height"]

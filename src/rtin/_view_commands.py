@@ -59,7 +59,13 @@ def view(
         from rtin.viewer.opening import Opening
         from rtin.viewer.page import Page, run
 
-        settings = _settings(pixel_error, max_triangles, max_error, exaggeration)
+        settings = _settings(
+            pixel_error,
+            max_triangles,
+            max_error,
+            exaggeration,
+            "hillshade" if photo is None else "orthophoto",
+        )
         with progress(f"opening {path.name}"):
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             first = opening.first()
@@ -84,7 +90,11 @@ def _terrain(opened: Opened, photo: Path | None, place: Place | None = None) -> 
 
 
 def _settings(
-    pixel_error: float, max_triangles: int | None, max_error: float | None, exaggeration: float
+    pixel_error: float,
+    max_triangles: int | None,
+    max_error: float | None,
+    exaggeration: float,
+    colours: str,
 ) -> Settings:
     """Return what clients begin with; refuse what no mesh can be asked for."""
     from rtin.viewer.scene import Settings
@@ -95,7 +105,11 @@ def _settings(
     _require_more_than_zero("--exaggeration", exaggeration)
     if max_error is not None and not 0.0 <= max_error < float("inf"):
         raise typer.BadParameter(f"--max-error must be zero or more, got {max_error}")
-    common: dict[str, Any] = {"pixel_error": pixel_error, "exaggeration": exaggeration}
+    common: dict[str, Any] = {
+        "pixel_error": pixel_error,
+        "exaggeration": exaggeration,
+        "colours": colours,
+    }
     if max_triangles is not None:
         _require_more_than_zero("--max-triangles", max_triangles)
         return Settings("triangle budget", max_triangles=max_triangles, **common)
