@@ -402,7 +402,7 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            corners = _Walk(*(of_all[:4] for of_all in walked))
+            corners = _Walk._make(of_all[:4] for of_all in walked)
             n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:

@@ -28,10 +28,12 @@ __all__ = [
     "Picture",
     "Place",
     "Settings",
+    "Shown",
     "Terrain",
     "View",
     "bounds_of",
     "painters_of",
+    "usual_painters",
 ]
 
 SIDE = 100.0  # units: the longer side of a terrain
@@ -120,6 +122,15 @@ class Picture(NamedTuple):
     seconds: float
 
 
+class Shown(NamedTuple):
+    """Triangles in the scene, sRGB colours in 0..1 of their vertices, and edges to draw, if any."""
+
+    vertices: _Floats
+    triangles: NDArray[np.int32]
+    colours: _Floats
+    edges: NDArray[np.int64] | None
+
+
 class Terrain:
     """A raster's level of detail or a mesh from a file, at its place in the scene.
 
@@ -150,7 +161,7 @@ class Terrain:
         self.note = note
         self.bounds = bounds_of(surface)
         self.place = place or Place.of(self.bounds)
-        self.painters = painters or _usual_painters(self.bounds)
+        self.painters = painters or usual_painters(surface, None)
         self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
         self._mesh = surface if isinstance(surface, TriangleMesh) else None
 
@@ -166,21 +177,29 @@ class Terrain:
         return (self, settings, view)
 
     def draw(self, view: View, settings: Settings) -> Picture:
-        """Return what a view shows of the terrain."""
+        """Return what a view shows of the terrain, to send to a browser."""
         started = time.perf_counter()
         mesh, kept = self._cut(view, settings)
         is_cut_short = self.has_levels and mesh.n_triangles > MOST_TRIANGLES
         if is_cut_short:
             mesh, kept = self._cut(view, _shorter(settings))
         cut = time.perf_counter()
-        paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
-        vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
+        shown = self._coloured(mesh, settings)
         lift = _LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
-        edges = mesh.edges() if settings.wireframe else None
-        data = _glb(vertices, mesh.triangles, paint(mesh), edges, lift)
+        data = _glb(*shown, lift)
         done = time.perf_counter()
         counts = (mesh.n_triangles, mesh.n_vertices)
         return Picture(data, *counts, kept, is_cut_short, cut - started, done - started)
+
+    def shown(self, view: View, settings: Settings) -> Shown:
+        """Return what a view shows of the terrain, however many triangles that takes."""
+        return self._coloured(self._cut(view, settings)[0], settings)
+
+    def _coloured(self, mesh: TriangleMesh, settings: Settings) -> Shown:
+        paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
+        vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
+        edges = mesh.edges() if settings.wireframe else None
+        return Shown(vertices, mesh.triangles, paint(mesh), edges)
 
     def _cut(self, view: View, settings: Settings) -> tuple[TriangleMesh, float | None]:
         """Return the mesh of a view, and the tolerance that it keeps."""
@@ -240,27 +259,26 @@ def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> 
 
     Those of a mesh from a file light it by its own slopes. Raises as ``orthophoto`` does.
     """
-    bounds = bounds_of(opened.surface)
-    painters: dict[str, Painter] = {}
-    under: Drape | None = None
-    if isinstance(opened.surface, Grid):
-        under = hillshade(opened.surface)
-        painters = {"hillshade": under.colours, "height": by_height(*bounds[:, 2].tolist())}
-        painters["error"] = by_error(opened.surface)
-    if photo is not None:
-        painters = {"orthophoto": orthophoto(photo, opened, under=under).colours, **painters}
-    return {**_usual_painters(bounds), **painters} if under is None else painters
+    surface = opened.surface
+    under = hillshade(surface) if isinstance(surface, Grid) else None
+    painters = usual_painters(surface, under)
+    if photo is None:
+        return painters
+    return {"orthophoto": orthophoto(photo, opened, under=under).colours, **painters}
 
 
-def _usual_painters(bounds: _Floats) -> dict[str, Painter]:
-    """Return what tints vertices by height, from the least to the largest, and what lights them."""
-    tinted = by_height(*bounds[:, 2].tolist())
+def usual_painters(surface: Grid | TriangleMesh, relief: Drape | None) -> dict[str, Painter]:
+    """Return a raster's painters, with its relief; or a mesh's, lit by its own slopes."""
+    low, high = bounds_of(surface)[:, 2].tolist()
+    tinted = by_height(low, high)
 
     def lit(mesh: TriangleMesh) -> _Floats:
         light = _tint.hillshade(_normals(mesh))
         return np.asarray(tinted(mesh) * (_SHADE + light[:, np.newaxis]))
 
-    return {"hillshade": lit, "height": tinted}
+    if relief is None or isinstance(surface, TriangleMesh):
+        return {"hillshade": lit, "height": tinted}
+    return {"hillshade": relief.colours, "height": tinted, "error": by_error(surface)}
 
 
 def _normals(mesh: TriangleMesh) -> _Floats:
