@@ -7,7 +7,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 os.environ.setdefault("MPLBACKEND", "agg")
 
-import rtin  # noqa: E402
+import rtin
 
 project = "rtin"
 author = "The rtin developers"
