@@ -39,10 +39,11 @@ _FINITE = float(np.finfo(np.float64).max)
 _SPARE = 256  # vertices more than a budget's to walk over
 _A_BIT_FINER = 0.9  # than the last tolerance, to exceed the budget at the first walk
 _NARROW = 1.01
-_FINEST = 1e-30  # tolerance above 0 to look for
+_FINEST, _COARSEST = 1e-30, 1e300  # tolerances to look for
 
 _Floats = NDArray[np.float64]
 _Planes = NDArray[np.float64]
+_Part = tuple[int, int, int, int]  # first and end row, first and end column or place
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +153,8 @@ class LevelOfDetail:
         self._guesses = [1.0, 1.0]  # tolerances for a budget: of heights, of pixels
         for level, kind in _generations(self._layout):
             _, width, rows = self._layout[level, kind : kind + 3]
-            bands = _parallel.row_bands(int(rows))
-            self._renew(level, kind, [(*band, 0, int(width)) for band in bands])
+            bands = [(*band, 0, int(width)) for band in _parallel.row_bands(int(rows))]
+            self._renew(level, kind, (0, grid.shape[0], 0, grid.shape[1]), bands, bands)
 
     @property
     def grid(self) -> Grid:
@@ -295,31 +296,30 @@ class LevelOfDetail:
             self._heights.flags.writeable = False
         self._changed[top:bottom, left:right] = patch
         self._grid = None
+        changed = (top, bottom, left, right)
         for level, kind in _generations(self._layout):
-            spacing = 1 << level
-            near = _near(self._layout, level, kind, (top, bottom, left, right), spacing)
-            reach = (3 if kind == _CENTRE else 2) * spacing
-            far = _near(self._layout, level, kind, (top, bottom, left, right), reach)
-            self._renew(level, kind, [near], [far])
+            near = _near(self._layout, level, kind, changed, 1 << level)
+            far = _near(self._layout, level, kind, changed, 3 << level)
+            self._renew(level, kind, changed, [near], [far])
 
     def _renew(
         self,
         level: int,
         kind: int,
-        parts: list[tuple[int, int, int, int]],
-        parts_of_bounds: list[tuple[int, int, int, int]] | None = None,
+        patch: _Part,
+        parts: list[_Part],
+        parts_of_bounds: list[_Part],
     ) -> None:
-        """Renew parts of a generation: their own errors, and bounds of these parts or others."""
+        """Renew parts of a generation: own errors where a patch matters, and bounds."""
         from rtin._kernels.lod import renew_bounds, renew_own
 
-        common = (self._heights, self._layout)
-        arrays = (self._own, self._wholes)
-        _parallel.run(renew_own, [(*common, level, kind, *part, *arrays) for part in parts])
+        common, found = (self._heights, self._layout), (self._own, self._wholes)
+        _parallel.run(renew_own, [(*common, patch, level, kind, *part, *found) for part in parts])
         _parallel.run(
             renew_bounds,
             [
-                (*common, GROWTH, level, kind, *part, *arrays, self._bounds)
-                for part in parts_of_bounds or parts
+                (*common, GROWTH, level, kind, *part, *found, self._bounds)
+                for part in parts_of_bounds
             ],
         )
 
@@ -402,7 +402,8 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            n_coarsest = len(self._triangles(walked, math.inf))
+            corners = _Walk(*(of_all[:4] for of_all in walked))
+            n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
@@ -508,7 +509,7 @@ class _Search:
 
     def go_coarser(self) -> None:
         self._too_fine = self.tolerance
-        wanted = 2.0 * self.tolerance
+        wanted = 4.0 * self.tolerance
         self._go(min(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def go_finer(self, share: float) -> None:
@@ -518,9 +519,10 @@ class _Search:
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:
-        if self._too_coarse < self._too_fine * _NARROW:  # many weigh the same: take them all
+        if min(self._too_coarse, _COARSEST) < self._too_fine * _NARROW:
+            # Many weigh the same, as all that voids demand do: walk over all of them.
             self.is_narrow = True
-            tolerance = self._too_fine
+            tolerance, self._too_fine = self._too_fine, 0.0
         self.tolerance = tolerance if tolerance >= _FINEST else 0.0
 
 
@@ -561,9 +563,7 @@ def _generations(layout: NDArray[np.int64]) -> list[tuple[int, int]]:
     return [(level, kind) for level in range(len(layout)) for kind in (_EDGE, _CENTRE)][1:]
 
 
-def _near(
-    layout: NDArray[np.int64], level: int, kind: int, patch: tuple[int, int, int, int], reach: int
-) -> tuple[int, int, int, int]:
+def _near(layout: NDArray[np.int64], level: int, kind: int, patch: _Part, reach: int) -> _Part:
     """Return the rows and places of a generation within reach of a patch, and a few more."""
     top, bottom, left, right = patch
     shift = level + 1 if kind == _CENTRE else level

@@ -122,22 +122,39 @@ def side_of(row, col, apex_row, apex_col):
 
 
 @jit
+def part_bound(heights, layout, own, wholes, plane_row, plane_col, plane, row, col, direction):
+    """No sample of a part of a triangle is farther from its plane; inf where nothing is known."""
+    v_row, v_col = midpoint(row, col, spacing_of(row, col), direction)
+    spacing = spacing_of(v_row, v_col)
+    kind = CENTRE if is_centre(v_row, v_col, spacing) else EDGE
+    entry = entry_of(layout, level_of(spacing), kind, v_row, v_col)
+    if not wholes[entry] >> side_of(v_row, v_col, row, col) & ALL:
+        return np.inf  # the own error leaves out triangles that have a void for a corner
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing_of(row, col), direction)
+    farthest = tilt(heights, plane_row, plane_col, plane, row, col)
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, a_row, a_col))
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, b_row, b_col))
+    return farthest + own[entry]
+
+
+@jit
 def triangle_error(heights, layout, own, wholes, row, col, direction):
     """Largest distance of a sample of a triangle with three heights from its plane.
 
-    By branch and bound: no sample of a part is farther away than the part's own error and the
-    distance of its corners together.
+    By branch and bound, the more promising half first: no sample of a part is farther away than
+    the part's own error and the distance of its corners together.
     """
     spacing = spacing_of(row, col)
     plane = triangle_plane(heights, row, col, spacing, direction, is_centre(row, col, spacing))
     if spacing <= SMALL:
         return search(heights, row, col, plane, row, col, direction, 0.0)
     largest = 0.0
-    stack, n_stack = np.empty((128, 3), np.int64), 1
-    stack[0, 0], stack[0, 1], stack[0, 2] = row, col, direction
-    is_first = True  # its own error is not known yet
+    stack, bounds, n_stack = np.empty((64, 3), np.int64), np.empty(64, np.float64), 1
+    stack[0, 0], stack[0, 1], stack[0, 2], bounds[0] = row, col, direction, np.inf
     while n_stack > 0:
         n_stack -= 1
+        if bounds[n_stack] <= largest:
+            continue
         t_row, t_col, t_direction = stack[n_stack, 0], stack[n_stack, 1], stack[n_stack, 2]
         t_spacing = spacing_of(t_row, t_col)
         if t_spacing <= SMALL:
@@ -145,27 +162,20 @@ def triangle_error(heights, layout, own, wholes, row, col, direction):
             continue
         v_row, v_col = midpoint(t_row, t_col, t_spacing, t_direction)
         a_row, a_col, b_row, b_col = hypotenuse(t_row, t_col, t_spacing, t_direction)
-        v_spacing = spacing_of(v_row, v_col)
-        v_is_centre = is_centre(v_row, v_col, v_spacing)
-        kind = CENTRE if v_is_centre else EDGE
-        entry = entry_of(layout, level_of(v_spacing), kind, v_row, v_col)
-        at_middle = tilt(heights, row, col, plane, v_row, v_col)
-        largest = at_middle if at_middle > largest else largest
-        # The own errors of triangles with voids say nothing where a corner is one.
-        is_whole = wholes[entry] >> side_of(v_row, v_col, t_row, t_col) & ALL
-        if is_whole and not is_first:
-            farthest = tilt(heights, row, col, plane, t_row, t_col)
-            farthest = max(farthest, tilt(heights, row, col, plane, a_row, a_col))
-            farthest = max(farthest, tilt(heights, row, col, plane, b_row, b_col))
-            if farthest + own[entry] <= largest:
-                continue
-        is_first = False
+        along_axis = is_centre(v_row, v_col, spacing_of(v_row, v_col))
         for leg in range(2):
             end_row, end_col = (a_row, a_col) if leg == 0 else (b_row, b_col)
             to_row, to_col = (t_row + end_row) // 2 - v_row, (t_col + end_col) // 2 - v_col
-            stack[n_stack, 0], stack[n_stack, 1] = v_row, v_col
-            stack[n_stack, 2] = direction_towards(v_is_centre, to_row, to_col)
-            n_stack += 1
+            half = direction_towards(along_axis, to_row, to_col)
+            stack[n_stack + leg, 0], stack[n_stack + leg, 1] = v_row, v_col
+            stack[n_stack + leg, 2] = half
+            bounds[n_stack + leg] = part_bound(
+                heights, layout, own, wholes, row, col, plane, v_row, v_col, half
+            )
+        if bounds[n_stack] > bounds[n_stack + 1]:
+            bounds[n_stack], bounds[n_stack + 1] = bounds[n_stack + 1], bounds[n_stack]
+            stack[n_stack, 2], stack[n_stack + 1, 2] = stack[n_stack + 1, 2], stack[n_stack, 2]
+        n_stack += 2
     return largest
 
 
@@ -297,13 +307,24 @@ def must_split(heights, bits, row, col):
 
 
 @jit
-def renew_own(heights, layout, level, kind, first, end, left, right, own, wholes):
-    """Write own errors and wholes of some rows and places of a generation."""
+def touches(kind, spacing, row, col, patch):
+    """Whether a triangle whose hypotenuse a vertex bisects may have a sample of a patch.
+
+    The patch is given by its first and end row, and its first and end column.
+    """
+    down = max(patch[0] - row, row - patch[1] + 1, 0)
+    across = max(patch[2] - col, col - patch[3] + 1, 0)
+    return max(down, across) <= spacing if kind == CENTRE else down + across <= spacing
+
+
+@jit
+def renew_own(heights, layout, patch, level, kind, first, end, left, right, own, wholes):
+    """Write own errors and wholes of some rows and places of a generation, if a patch matters."""
     size = 1 << len(layout)
     for i in range(first, end):
         for j in range(left, right):
             row, col = vertex_at(level, kind, i, j)
-            if is_inside(row, col, size):
+            if is_inside(row, col, size) and touches(kind, 1 << level, row, col, patch):
                 entry = entry_of(layout, level, kind, row, col)
                 if level == 0 and is_whole_cell(heights, row, col):
                     wholes[entry] = 5 * (ANY | ALL)
