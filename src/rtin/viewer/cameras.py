@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin._options import as_count
 from rtin.grid import Grid
-from rtin.viewer.scene import SIDE, Place, View
+from rtin.mesh import TriangleMesh
+from rtin.viewer.scene import SIDE, Place, View, bounds_of
 
 __all__ = ["flight", "orbit", "overlook", "seen_from"]
 
@@ -31,8 +32,8 @@ def overlook() -> View:
 
 def seen_from(place: Place, eye: ArrayLike, target: ArrayLike, exaggeration: float = 1.0) -> View:
     """Return the view from one point of the world to another, both x, y, z."""
-    points = place.into_scene(np.array([eye, target], np.float64), exaggeration)
-    return View(*(tuple(map(float, point)) for point in points))
+    points = place.into_scene(np.array([eye, target], np.float64), exaggeration).tolist()
+    return View(tuple(points[0]), tuple(points[1]))
 
 
 def orbit(n: int) -> list[View]:
@@ -48,15 +49,18 @@ def orbit(n: int) -> list[View]:
     ]
 
 
-def flight(grid: Grid, place: Place, n: int, exaggeration: float = 1.0) -> list[View]:
+def flight(
+    surface: Grid | TriangleMesh, place: Place, n: int, exaggeration: float = 1.0
+) -> list[View]:
     """Return n views of a flight over a terrain: a figure of eight that follows the ground.
 
-    The path is closed, and never lower than ``0.035 * SIDE`` above the ground below it.
-    Raises TypeError or ValueError where n is no whole number from 1 on.
+    The path is closed, and never lower than ``0.035 * SIDE`` above the ground below it; above the
+    highest point of a mesh, which has no ground to follow. Raises TypeError or ValueError where n
+    is no whole number from 1 on.
     """
     turns = np.arange(_as_number_of_views(n)) / n
     many = np.linspace(0.0, 1.0, 2000, endpoint=False)
-    ground = _smoothed(_ground(grid, place, _eight(many), exaggeration))
+    ground = _smoothed(_ground(surface, place, _eight(many), exaggeration))
     heights = np.interp(turns, many, ground, period=1.0) + _CLEARANCE
     looks = np.interp((turns + _AHEAD) % 1.0, many, ground, period=1.0)
     eyes = np.column_stack([_eight(turns), heights]).tolist()
@@ -70,12 +74,16 @@ def _eight(turns: _Floats) -> _Floats:
     return _LOOP * np.column_stack([np.sin(angle), np.sin(angle) * np.cos(angle)])
 
 
-def _ground(grid: Grid, place: Place, points: _Floats, exaggeration: float) -> _Floats:
+def _ground(
+    surface: Grid | TriangleMesh, place: Place, points: _Floats, exaggeration: float
+) -> _Floats:
     """Return how high the terrain is drawn below points; the lowest there is where it has none."""
-    low = float(np.nanmin(grid.heights))
-    flat = np.column_stack([points, np.zeros(len(points))])
-    heights = grid.heights_at(place.into_world(flat)[:, :2])
-    world = np.column_stack([points, np.where(np.isnan(heights), low, heights)])
+    lowest, highest = bounds_of(surface)[:, 2].tolist()
+    world = place.into_world(np.column_stack([points, np.zeros(len(points))]))
+    world[:, 2] = highest
+    if isinstance(surface, Grid):
+        heights = surface.heights_at(world[:, :2])
+        world[:, 2] = np.where(np.isnan(heights), lowest, heights)
     return place.into_scene(world, exaggeration)[:, 2]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from ctypes.util import find_library
 from pathlib import Path
 from types import TracebackType
@@ -17,8 +17,8 @@ from rtin._atomic import replacing, require_place
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 from rtin.viewer.cameras import overlook
-from rtin.viewer.colours import hillshade
-from rtin.viewer.scene import Settings, Shown, Terrain, View, usual_painters
+from rtin.viewer.colours import Drape, hillshade
+from rtin.viewer.scene import LIFT, Settings, Shown, Terrain, View, usual_painters
 
 __all__ = ["as_terrain", "picture", "record", "require_film_path", "require_still_path", "snapshot"]
 
@@ -98,12 +98,12 @@ def snapshot(
 def record(
     source: _Source | Iterable[_Source],
     path: str | os.PathLike[str],
-    views: Iterable[View],
+    views: Sequence[View],
     *,
     settings: Settings | None = None,
     size: tuple[int, int] = SIZE,
     frames_per_second: float = 25.0,
-    tell: Callable[[], None] | None = None,
+    tell: Callable[[float], None] | None = None,
 ) -> None:
     """Write a film of a terrain, as .mp4 or .gif; whole or not at all.
 
@@ -112,14 +112,14 @@ def record(
     source : Grid, TriangleMesh, Terrain, or an iterable of them
         What is seen: one terrain all the time, or another one in each view.
     path : path-like
-    views : iterable of View
+    views : sequence of View
         One for each picture of the film.
     settings, size
         As for ``picture``; an .mp4 has even numbers of pixels, rounded down.
     frames_per_second : float
         At most 50 for a .gif.
     tell : function, optional
-        Called after each picture.
+        Called after each picture with the share of them that is done.
 
     Raises
     ------
@@ -135,16 +135,14 @@ def record(
         raise ValueError(f"frames_per_second must be more than zero, got {frames_per_second!r}")
     if Path(path).suffix.lower() == ".mp4":
         size = (size[0] // 2 * 2, size[1] // 2 * 2)
+    if len(views) == 0:
+        raise ValueError("a film needs at least one view, got none")
     settings = settings or Settings()
     with replacing(path) as part, _Stage(size) as stage, _film(part, frames_per_second) as film:
-        is_empty = True
-        for terrain, view in zip(_one_each(source), views, strict=False):
+        for done, (terrain, view) in enumerate(zip(_one_each(source), views, strict=False), 1):
             film.append_data(stage.draw(terrain, view, settings))
-            is_empty = False
             if tell is not None:
-                tell()
-        if is_empty:
-            raise ValueError("a film needs at least one view, got none")
+                tell(done / len(views))
 
 
 def require_still_path(path: str | os.PathLike[str]) -> None:
@@ -183,7 +181,9 @@ class _Stage:
             ) from None
         self._size = (width, height)
         self._pyvista: Any = pyvista
-        self._plotter: Any = pyvista.Plotter(off_screen=True, window_size=[width, height])
+        self._drape: Drape | None = None
+        self._its_texture: Any = None
+        self._plotter: Any = self._pyvista.Plotter(off_screen=True, window_size=[width, height])
         self._plotter.set_background(_HORIZON, top=_SKY)
         self._plotter.enable_anti_aliasing("ssaa")
 
@@ -192,7 +192,8 @@ class _Stage:
         view = View(view.eye, view.target, view.up, view.field_of_view, height, width / height)
         plotter = self._plotter
         plotter.clear_actors()
-        self._put(terrain.shown(view, settings))
+        lift = LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
+        self._put(terrain.shown(view, settings), lift)
         camera = plotter.camera
         camera.position, camera.focal_point, camera.up = view.eye, view.target, view.up
         camera.view_angle = view.field_of_view
@@ -200,16 +201,33 @@ class _Stage:
         plotter.render()
         return np.ascontiguousarray(plotter.screenshot(None, return_img=True)[:, :, :3])
 
-    def _put(self, shown: Shown) -> None:
-        if len(shown.triangles) == 0:
+    def _put(self, shown: Shown, lift: float) -> None:
+        if shown.mesh.n_triangles == 0:
             return
-        surface = self._pyvista.PolyData.from_regular_faces(shown.vertices, shown.triangles)
-        colours = np.rint(255.0 * shown.colours.clip(0.0, 1.0)).astype(np.uint8)
-        self._plotter.add_mesh(surface, scalars=colours, rgb=True, lighting=False)
+        surface = self._pyvista.PolyData.from_regular_faces(shown.vertices, shown.mesh.triangles)
+        if isinstance(shown.painter, Drape):
+            drape = shown.painter
+            uv = drape.texture_coordinates(shown.mesh.vertices)
+            uv[:, 1] = 1.0 - uv[:, 1]  # VTK has v from below
+            surface.active_texture_coordinates = uv
+            self._plotter.add_mesh(surface, texture=self._texture(drape), lighting=False)
+        else:
+            colours = shown.painter(shown.mesh).clip(0.0, 1.0)
+            rgb = np.rint(255.0 * colours).astype(np.uint8)
+            self._plotter.add_mesh(surface, scalars=rgb, rgb=True, lighting=False)
         if shown.edges is not None:
             lines = np.column_stack([np.full(len(shown.edges), 2), shown.edges]).ravel()
-            net = self._pyvista.PolyData(shown.vertices, lines=lines)
+            above = shown.vertices + np.array([0.0, 0.0, lift])
+            net = self._pyvista.PolyData(above, lines=lines)
             self._plotter.add_mesh(net, color=_INK, line_width=_NEAR_EDGE, lighting=False)
+
+    def _texture(self, drape: Drape) -> Any:  # noqa: ANN401  (pyvista is an extra)
+        """Return the texture of a drape, made once for a film."""
+        if self._drape is not drape:
+            self._drape = drape
+            self._its_texture = self._pyvista.Texture(drape.image)
+            self._its_texture.mipmap = self._its_texture.interpolate = True
+        return self._its_texture
 
     def __enter__(self) -> _Stage:
         return self
