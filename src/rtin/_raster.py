@@ -29,10 +29,14 @@ def moved(transform: Affine, rows: float, cols: float) -> Affine:
     return Affine(a, b, x + a * cols + b * rows, d, e, y + d * cols + e * rows)
 
 
-def widened(transform: Affine, step: int) -> Affine:
-    """Return the transform of a row and a column in every ``step`` of the given one."""
+def widened(transform: Affine, step: float, col_step: float | None = None) -> Affine:
+    """Return the transform of a row and a column in every ``step`` of the given one.
+
+    Columns may have another step than rows.
+    """
     a, b, x, d, e, y = transform[:6]
-    return Affine(a * step, b * step, x, d * step, e * step, y)
+    across = step if col_step is None else col_step
+    return Affine(a * across, b * step, x, d * across, e * step, y)
 
 
 def padded(

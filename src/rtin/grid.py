@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from affine import Affine
@@ -123,13 +123,8 @@ class Grid:
         if self.crs is None or not self.crs.is_geographic:
             return self
         rows, cols = self.shape
-        a, b, x0, d, e, y0 = tuple(self.transform)[:6]
-        x = a * (cols - 1) / 2 + b * (rows - 1) / 2 + x0
-        y = d * (cols - 1) / 2 + e * (rows - 1) / 2 + y0
-        east, north = metres_per_unit(self.crs, y)
-        transform = (a, b, x0 - x, d, e, y0 - y)
-        lengths = (east, east, east, north, north, north)
-        return Grid(self.heights, np.multiply(transform, lengths).tolist())
+        middle = moved(self.transform, (rows - 1) / 2, (cols - 1) / 2)
+        return Grid(self.heights, Metres.around(self.crs, middle.c, middle.f).of(self.transform))
 
     def places(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return row and column, with fractions, of each point of the world, both of shape (n, 2).
@@ -171,6 +166,33 @@ class Grid:
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]
         voids = ", with voids" if self.has_voids else ""
         return f"<Grid {rows} × {cols} {self.heights.dtype}{voids}, {crs}>"
+
+
+class Metres(NamedTuple):
+    """Metres east and north of a point of a geographic CRS.
+
+    ``east`` and ``north`` are those in one unit of x and of y, as in ``Grid.in_metres``.
+    """
+
+    x: float
+    y: float
+    east: float
+    north: float
+
+    @classmethod
+    def around(cls, crs: pyproj.CRS, x: float, y: float) -> Metres:
+        """Return metres as long as they are on the ellipsoid at a point."""
+        return cls(x, y, *metres_per_unit(crs, y))
+
+    def of(self, transform: Affine) -> Affine:
+        """Return in metres what maps to units of the CRS."""
+        a, b, x, d, e, y = tuple(transform)[:6]
+        in_units = (a, b, x - self.x, d, e, y - self.y)
+        return Affine(*np.multiply(in_units, [self.east] * 3 + [self.north] * 3).tolist())
+
+    def undone(self) -> Affine:
+        """Return what maps metres to units of the CRS."""
+        return Affine(1.0 / self.east, 0.0, self.x, 0.0, 1.0 / self.north, self.y)
 
 
 def places_in(transform: Affine, xy: ArrayLike) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ from rtin._options import MOST, as_count, as_height, the_only_option
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
 
-__all__ = ["Frame", "LevelOfDetail", "frustum"]
+__all__ = ["Frame", "LevelOfDetail", "frustum", "is_compiled"]
 
 GROWTH = 1.03
 _ENDS_AHEAD = GROWTH**2  # the ends of an edge are two generations or more before its middle
@@ -406,7 +406,7 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            corners = _Walk(*(of_all[:4] for of_all in walked))
+            corners = _Walk._make(of_all[:4] for of_all in walked)
             n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
@@ -439,6 +439,14 @@ class LevelOfDetail:
         numbers_of_transform = np.array(tuple(transform)[:6], np.float64)
         fill_vertices(numbers_of_transform, *walked[:4], numbers, vertices, coarser)
         return TriangleMesh(vertices, triangles, crs), coarser, walked.weights[numbers]
+
+
+def is_compiled() -> bool:
+    """Return whether compiled kernels lie on disk: the first call on a machine takes longer."""
+    from rtin._kernels._jit import compiled_before
+    from rtin._kernels.lod import walk
+
+    return compiled_before(walk)
 
 
 def frustum(

@@ -181,15 +181,11 @@ def _draw_grid(ax: Axes, grid: Grid, x_to_y: float) -> None:
     heights = grid.heights[::step, ::step].astype(np.float64)
     if min(heights.shape) < 2:
         return
-    a, b, _, d, e, _ = tuple(grid.transform)[:6]
-    by_row, by_col = np.gradient(heights)
-    # dz/dcol = a dz/dx + d dz/dy and dz/drow = b dz/dx + e dz/dy, solved for the slopes.
-    determinant = (a * e - b * d) * step
-    slope_x = (e * by_col - d * by_row) / determinant
-    slope_y = (a * by_row - b * by_col) / determinant / x_to_y
-    colours = _relief(heights.ravel(), slope_x.ravel(), slope_y.ravel())
+    place = widened(grid.transform, step)
+    slope_x, slope_y = _tint.slopes(heights, place)
+    colours = _tint.relief(heights.ravel(), slope_x.ravel(), slope_y.ravel() / x_to_y)
     show_at_its_place(
-        ax, colours.reshape(*heights.shape, 4), widened(grid.transform, step),
+        ax, colours.reshape(*heights.shape, 4), place,
         interpolation="bilinear" if step == 1 and heights.size < 250_000 else "auto",
     )  # fmt: skip
 
@@ -212,30 +208,11 @@ def _fill_triangles(ax: Axes, mesh: TriangleMesh, x_to_y: float) -> None:
     stretched = corners * [1.0, x_to_y, 1.0]
     normals = np.cross(stretched[:, 1] - stretched[:, 0], stretched[:, 2] - stretched[:, 0])
     up = np.where(normals[:, 2] == 0.0, 1.0, normals[:, 2])
-    colours = _relief(corners[:, :, 2].mean(axis=1), -normals[:, 0] / up, -normals[:, 1] / up)
+    colours = _tint.relief(corners[:, :, 2].mean(axis=1), -normals[:, 0] / up, -normals[:, 1] / up)
     outlines: Any = corners[:, :, :2]  # an array does where the stubs want a sequence of them
     fill = PolyCollection(outlines, facecolors=colours, linewidths=0.0, antialiased=False, zorder=0)
     fill.set_rasterized(mesh.n_triangles > _RASTERISED_FROM)
     ax.add_collection(fill)
-
-
-def _relief(heights: _Floats, slope_x: _Floats, slope_y: _Floats) -> _Floats:
-    """Return pale RGBA colours, shape (n, 4): tinted by height, lit from the north-west.
-
-    Slopes are scaled to a typical one of 0.4, whatever the units; voids are transparent.
-    """
-    valid = np.isfinite(heights) & np.isfinite(slope_x) & np.isfinite(slope_y)
-    colours = np.zeros((len(heights), 4))
-    if not valid.any():
-        return colours
-    steepness = np.sqrt(np.mean(slope_x[valid] ** 2 + slope_y[valid] ** 2)) or 1.0
-    slopes = 0.4 / steepness * np.column_stack([slope_x[valid], slope_y[valid]])
-    normals = np.column_stack([-slopes, np.ones(len(slopes))])
-    light = _tint.hillshade(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    tint = _tint.tint(heights[valid], heights[valid].min(), heights[valid].max())
-    shaded = (0.35 + 0.65 * tint) * (0.4 + 0.75 * light[:, np.newaxis])
-    colours[valid] = np.column_stack([shaded.clip(0.0, 1.0), np.ones(len(shaded))])
-    return colours
 
 
 def _draw_edges(ax: Axes, mesh: TriangleMesh, line_width: float | None) -> None:

@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from rtin import _tint
 from rtin.io._placement import PlacedMesh
 
-__all__ = ["bounds", "encode", "glb", "packed", "vertex_normals", "y_up", "z_up"]
+__all__ = [
+    "bounds",
+    "encode",
+    "glb",
+    "lay_over",
+    "normals_of",
+    "packed",
+    "vertex_normals",
+    "y_up",
+    "z_up",
+]
 
 _Floats = NDArray[np.float64]
 _Tree = dict[str, Any]
@@ -21,6 +31,8 @@ _Tree = dict[str, Any]
 # glTF's numbers for types of components and for what a part of the binary chunk holds.
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _ATTRIBUTES, _INDICES = 34962, 34963
+# Without mipmaps, which would be made anew for each frame that is sent.
+_SMOOTH_WITHIN_EDGES = {"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}
 _LONGEST_FILE = 2**32 - 1
 
 
@@ -70,6 +82,21 @@ def packed(
     finish(tree)
     text = json.dumps(tree, separators=(",", ":")).encode("ascii")
     return _container(text, b"".join(parts))
+
+
+def lay_over(tree: _Tree, jpeg: str, n_bytes: int) -> None:
+    """Turn the attribute ``jpeg`` into the picture that TEXCOORD_0 takes the colours from.
+
+    For ``packed``: the attribute, the last one, holds ``n_bytes`` of a JPEG, and up to three more.
+    """
+    accessor = tree["meshes"][0]["primitives"][0]["attributes"].pop(jpeg)
+    view = tree["accessors"].pop(accessor)["bufferView"]
+    tree["bufferViews"][view] = {**tree["bufferViews"][view], "byteLength": n_bytes}
+    tree["bufferViews"][view].pop("target")
+    tree["images"] = [{"bufferView": view, "mimeType": "image/jpeg"}]
+    tree["samplers"] = [_SMOOTH_WITHIN_EDGES]
+    tree["textures"] = [{"source": 0, "sampler": 0}]
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
 
 
 def _padded(data: bytes) -> bytes:
@@ -150,9 +177,12 @@ def vertex_normals(placed: PlacedMesh) -> _Floats:
 
     A vertex that no triangle uses, or whose triangles cancel out, has (0, 0, 1).
     """
-    crosses = placed.area_vectors()
-    numbers = placed.triangles.ravel()
-    n_vertices = len(placed.vertices)
+    return normals_of(placed.area_vectors(), placed.triangles, len(placed.vertices))
+
+
+def normals_of(crosses: _Floats, triangles: NDArray[np.int32], n_vertices: int) -> _Floats:
+    """Return what ``vertex_normals`` does, from each triangle's normal as long as its area."""
+    numbers = triangles.ravel()
     sums = np.column_stack(
         [np.bincount(numbers, np.repeat(crosses[:, i], 3), n_vertices) for i in range(3)]
     )

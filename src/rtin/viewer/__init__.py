@@ -1,0 +1,1 @@
+"""Terrain to look at: a live page in the browser, pictures and films, notebooks."""
