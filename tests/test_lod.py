@@ -244,6 +244,20 @@ def test_frames_keep_the_promise_too_while_they_morph(scene, data):
     assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
 
 
+@pytest.mark.parametrize("share", [1.001, 1.02, 1.05])
+def test_nothing_beside_a_void_is_drawn_towards_what_was_not_there(share):
+    row, col = np.indices((5, 5))
+    heights = 1000.0 - 500.0 * np.maximum(abs(row - 2), abs(col - 2))
+    heights[1, 1] += 50.0
+    heights[0, 4] = heights[4, 0] = np.nan  # apexes of the vertex in the middle
+    grid, view = rtin.Grid(heights), View((2.0, -2.0, 200_000.0))
+    weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+    pixel_error = share * weights[2, 2]
+    frame = rtin.LevelOfDetail(grid).frame(pixel_error=pixel_error, **view.options)
+    assert frame.mesh.n_triangles > 2
+    assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
+
+
 @st.composite
 def critical_tolerances(draw, grid, view):
     """Tolerances at which some vertex has come a part of its way; None where there is none."""
@@ -255,7 +269,7 @@ def critical_tolerances(draw, grid, view):
 
 
 @settings(max_examples=80)
-@given(grids(), terrains.tolerances)
+@given(grids(), terrains.tolerances | st.just(math.inf))
 def test_a_tolerance_in_height_holds_everywhere_and_covers_all(grid, tolerance):
     mesh = rtin.LevelOfDetail(grid).mesh(max_error=tolerance)
     validity.check(mesh)
@@ -376,6 +390,17 @@ def test_a_lossless_mesh_has_no_error_at_all():
         lod = rtin.LevelOfDetail(grid)
         for mesh in (lod.mesh(max_error=0), lod.mesh((5.0, 5.0, 99.0), pixel_error=0)):
             assert rtin.vertical_error(mesh, grid).max <= rounding(grid)
+
+
+def test_any_error_is_allowed_but_what_the_eye_is_in():
+    lod = rtin.LevelOfDetail(rolling())
+    far = lod.frame((30.0, -30.0, 500.0), pixel_error=math.inf)
+    assert far.mesh.n_triangles == 2
+    within = lod.frame((30.0, -30.0, 0.0), pixel_error=math.inf)
+    assert 2 < within.mesh.n_triangles < 200
+    for frame in (far, within):
+        assert frame.pixel_error == math.inf
+        assert (frame.weights == 1.0).all()
 
 
 def test_flat_terrain_needs_two_triangles():
