@@ -244,7 +244,7 @@ def test_frames_keep_the_promise_too_while_they_morph(scene, data):
     assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
 
 
-@pytest.mark.parametrize("share", [1.001, 1.02, 1.05])
+@pytest.mark.parametrize("share", [1.001, 1.02])
 def test_nothing_beside_a_void_is_drawn_towards_what_was_not_there(share):
     row, col = np.indices((5, 5))
     heights = 1000.0 - 500.0 * np.maximum(abs(row - 2), abs(col - 2))
@@ -254,7 +254,7 @@ def test_nothing_beside_a_void_is_drawn_towards_what_was_not_there(share):
     weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
     pixel_error = share * weights[2, 2]
     frame = rtin.LevelOfDetail(grid).frame(pixel_error=pixel_error, **view.options)
-    assert frame.mesh.n_triangles > 2
+    assert frame.mesh.n_triangles == 2
     assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
 
 
