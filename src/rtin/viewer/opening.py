@@ -1,8 +1,8 @@
 """Rasters of any size, and meshes, opened to be looked at: first a coarse one, then the whole.
 
 What is read first takes a second or three: an overview of the file, or every so many samples. Each
-stage after that has up to sixteen times the samples of the one before, and the last every sample, or
-as many as fit in memory. All of them together take little longer than the last.
+stage after that has up to sixteen times the samples of the one before, and the last every sample,
+or as many as fit in memory. All of them together take little longer than the last.
 """
 
 from __future__ import annotations
