@@ -176,7 +176,9 @@ def test_degrees_become_metres_round_the_middle_of_the_whole(tmp_path, coarse, c
         assert stage.crs == whole.crs
         xy = places(stage.surface).reshape(-1, 2)
         row, col = metric.places(xy).T
-        assert np.abs(np.rint(row) - row).max() < 1e-6
+        nearest = np.rint(row).astype(int), np.rint(col).astype(int)
+        np.testing.assert_allclose(nearest, (row, col), atol=1e-6)
+        np.testing.assert_array_equal(stage.surface.heights.ravel(), whole.heights[nearest])
         a, _, c, _, e, f = tuple(stage.to_crs)[:6]
         in_degrees = np.column_stack([a * xy[:, 0] + c, e * xy[:, 1] + f])
         np.testing.assert_allclose(whole.places(in_degrees), np.column_stack([row, col]), atol=1e-6)
@@ -275,9 +277,11 @@ def test_a_mesh_in_degrees_comes_in_metres(tmp_path):
 # The end
 
 
-def test_closing_ends_the_reading(tmp_path, coarse, monkeypatch):
-    monkeypatch.setattr(_thinning, "_MOST_AT_ONCE", 300)
-    path = write_raster(tmp_path / "a.tif", terrain(), transform=PLACE, **LAYOUTS["rows"])
+@pytest.mark.parametrize("name", ["a.tif", "a.npy"])
+def test_no_stage_comes_after_closing(tmp_path, coarse, name):
+    write_raster(tmp_path / "a.tif", terrain(), transform=PLACE)
+    np.save(tmp_path / "a.npy", terrain())
+    path = tmp_path / name
     found, begun, go = [], threading.Event(), threading.Event()
 
     def wait(opened):
