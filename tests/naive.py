@@ -340,6 +340,142 @@ def family_on_either_diagonal(heights, keep=()):
     ]
 
 
+# --- level of detail ----------------------------------------------------------------------------
+# A mesh for a view keeps the vertices whose error, as large as it can look, is above the tolerance.
+
+
+@cache
+def children(size):
+    """{vertex: those that it is an apex for}, the finest first."""
+    found = {vertex: [] for vertex in reversed(bisections(size))}
+    for vertex in found:
+        for parent in parents(vertex, size):
+            found.get(parent, []).append(vertex)  # the lattice's corners are in every mesh
+    return found
+
+
+@cache
+def finest_parts(triangle):
+    if is_unit(triangle):
+        return [triangle]
+    return [part for half in halves(triangle) for part in finest_parts(half)]
+
+
+def has_three(triangle, exact):
+    return all(corner in exact for corner in triangle)
+
+
+def is_mixed(triangle, exact):
+    """Whether a triangle must be split to tell heights from voids."""
+    whole = [has_three(part, exact) for part in finest_parts(triangle)]
+    return not all(whole) and (any(whole) or has_three(triangle, exact))
+
+
+def own_error(vertex, exact, size):
+    """Largest error of the triangles, with three heights, whose hypotenuse a vertex bisects."""
+    errors = [
+        abs(sum(part * exact[c] for part, c in zip(parts, t, strict=True)) - exact[place])
+        for t in bisections(size)[vertex] if has_three(t, exact)
+        for place, parts in weights(t).items() if place in exact
+    ]  # fmt: skip
+    return max(errors, default=0)
+
+
+def saturated(heights, growth):
+    """{vertex: (error, whether mixed, reach, heights)}, of it and all its descendants.
+
+    An error is at least ``growth`` times those of the children. Where no triangle is mixed, one of
+    the finest level stands for itself alone, others for the samples of their triangles as well:
+    ``reach`` is how far these are, in rows or columns, ``heights`` their lowest and highest one.
+    """
+    size, exact = lattice_size(heights.shape), exact_heights(heights)
+    found = {}
+    for vertex, below in children(size).items():
+        triangles = bisections(size)[vertex]
+        parts = [found[child] for child in below]
+        mixed = any(is_mixed(t, exact) for t in triangles) or any(part[1] for part in parts)
+        samples = {vertex}.union(*(weights(t) for t in triangles if below or mixed))
+        z = [exact[place] for place in samples if place in exact]
+        z += [height for _, _, _, range_ in parts for height in range_]
+        found[vertex] = (
+            max([own_error(vertex, exact, size), *(growth * part[0] for part in parts)]),
+            mixed,
+            max((far(vertex, c) + found[c][2] for c in below), default=0),
+            (min(z), max(z)) if z else (),
+        )
+    return found
+
+
+def far(one, other):
+    return max(abs(one[0] - other[0]), abs(one[1] - other[1]))
+
+
+def weights_by_height(heights, growth):
+    """{vertex: the error it stands for}; inf where voids need it."""
+    return {
+        vertex: float("inf") if mixed else float(error)
+        for vertex, (error, mixed, _, _) in saturated(heights, growth).items()
+    }
+
+
+def weights_by_pixels(grid, growth, eye, scale, planes, slack=0.0):
+    """{vertex: the most pixels that its error, or what is mixed, can take}; -1 if out of sight.
+
+    A length of 1 at a distance of 1 takes ``scale`` pixels. ``slack`` widens all boxes a little.
+    """
+    size = lattice_size(grid.shape)
+    found = dict.fromkeys(corners_of_lattice(size), float("inf"))
+    hierarchy = saturated(grid.heights, growth)
+    for vertex in reversed(hierarchy):
+        error, mixed, reach, range_ = hierarchy[vertex]
+        length = max(float(error), hypotenuse_on_the_ground(vertex, size, grid) if mixed else 0.0)
+        weight = 0.0
+        if length > 0.0:
+            low, high = (float(z) for z in range_)
+            margin = slack * max(abs(low), abs(high), 1.0)
+            box = (vertex, reach + mixed + slack, low - margin, high + margin)
+            near = distance_to_box(grid, eye, *box)
+            weight = length * scale / near if near > 0.0 else float("inf")
+            if is_out_of_sight(grid, planes, *box):
+                weight = -1.0
+        found[vertex] = min([weight, *(found[parent] for parent in parents(vertex, size))])
+    return found
+
+
+def hypotenuse_on_the_ground(vertex, size, grid):
+    """As long as it would be if the longer side of a cell were both sides."""
+    a, b, _, d, e, _ = tuple(grid.transform)[:6]
+    one, other = ends(vertex, size)
+    steps = np.hypot(one[0] - other[0], one[1] - other[1])
+    return steps * max(np.hypot(a, d), np.hypot(b, e))
+
+
+def distance_to_box(grid, eye, vertex, reach, low, high):
+    """Distance to a box of samples whose rows and columns are at right angles."""
+    a, b, _, d, e, _ = tuple(grid.transform)[:6]
+    col, row = ~grid.transform @ (eye[0], eye[1])
+    down = max(abs(row - vertex[0]) - reach, 0.0) * np.hypot(b, e)
+    across = max(abs(col - vertex[1]) - reach, 0.0) * np.hypot(a, d)
+    up = max(low - eye[2], eye[2] - high, 0.0)
+    return float(np.sqrt(down**2 + across**2 + up**2))
+
+
+def is_out_of_sight(grid, planes, vertex, reach, low, high):
+    """Whether all eight corners of a box are outside one of the planes."""
+    row, col = vertex
+    corners = [
+        (*(grid.transform @ (col + right, row + down)), z, 1.0)
+        for right in (-reach, reach) for down in (-reach, reach) for z in (low, high)
+    ]  # fmt: skip
+    return bool((np.array(corners) @ np.transpose(planes) < 0.0).all(axis=0).any())
+
+
+def kept_above(weights_of, tolerance, size):
+    """The vertices that weigh more than a tolerance, and the lattice's corners."""
+    heavy = {vertex for vertex, weight in weights_of.items() if weight > tolerance}
+    return heavy | corners_of_lattice(size)
+
+
 # --- a mesh against its raster ------------------------------------------------------------------
 
 

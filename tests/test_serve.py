@@ -23,6 +23,7 @@ pytest.importorskip("uvicorn")
 import uvicorn
 
 from rtin import serve
+from rtin._listening import listening
 from rtin.schemes import SCHEMES
 
 TILE = "0/0/0.terrain"
@@ -58,7 +59,7 @@ class FakeStore:
 def serving(tiles, **options):
     """Yield the port of a server in a thread, with the settings that ``run`` uses."""
     server = uvicorn.Server(serve._config(serve.application(tiles, **options)))
-    with serve._listening("127.0.0.1", 0) as listener:
+    with listening("127.0.0.1", 0) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:

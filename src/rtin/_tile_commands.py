@@ -310,7 +310,8 @@ def serve(
 
         job_of = partial(
             _tile_job, paths, "terrain", zoom=_zooms_of(zoom),
-            max_error=_numbers_of("--max-error", max_error), cells=cells, band=band, encoding=encoding,
+            max_error=_numbers_of("--max-error", max_error),
+            cells=cells, band=band, encoding=encoding,
             world={"scheme": scheme, "fill": fill, "geoid": geoid, "normals": not no_normals,
                    "attribution": attribution},
         )  # fmt: skip

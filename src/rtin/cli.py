@@ -30,6 +30,7 @@ from rtin._console import (
 )
 from rtin._tile_commands import serve, tiles
 from rtin._version import __version__
+from rtin._view_commands import view
 
 if TYPE_CHECKING:
     from rtin.criteria import ErrorFigures, VerticalError
@@ -448,6 +449,7 @@ def compare(
 
 app.command()(tiles)
 app.command()(serve)
+app.command()(view)
 
 
 @app.command()

@@ -29,7 +29,7 @@ from rtin._options import MOST, as_count, as_height, the_only_option
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
 
-__all__ = ["Frame", "LevelOfDetail", "frustum"]
+__all__ = ["Frame", "LevelOfDetail", "frustum", "is_compiled"]
 
 GROWTH = 1.03
 _ENDS_AHEAD = GROWTH**2  # the ends of an edge are two generations or more before its middle
@@ -39,10 +39,11 @@ _FINITE = float(np.finfo(np.float64).max)
 _SPARE = 256  # vertices more than a budget's to walk over
 _A_BIT_FINER = 0.9  # than the last tolerance, to exceed the budget at the first walk
 _NARROW = 1.01
-_FINEST = 1e-30  # tolerance above 0 to look for
+_FINEST, _COARSEST = 1e-30, 1e300  # tolerances to look for
 
 _Floats = NDArray[np.float64]
 _Planes = NDArray[np.float64]
+_Part = tuple[int, int, int, int]  # first and end row, first and end column or place
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,8 @@ class Frame:
         0 where a vertex lies on the edge that it bisects, 1 where it has its own height. They
         change continuously with the eye and the tolerance, and are 0 where a vertex comes or goes.
     coarser : ndarray of float64, shape (n,)
-        The height of the middle of that edge. Its two ends have weight 1.
+        The height of the middle of that edge. Its two ends have weight 1. A vertex that tells
+        heights from voids, at an outline, does not move: it has its own height here too.
     pixel_error : float
         The tolerance kept, in pixels: the one given, or what the budget allows.
     """
@@ -82,20 +84,21 @@ class _Walk(NamedTuple):
     """Vertices from the coarsest on, and what ``_kernels.lod.walk`` says of each."""
 
     places: NDArray[np.int32]
+    z: _Floats
     around: NDArray[np.int32]
     slots: NDArray[np.uint8]
     weights: _Floats
 
 
 class _View(NamedTuple):
-    """What the walk weighs with: nothing at all where heights count."""
+    """What the walk weighs with: ``eye`` and ``planes`` of ``_kernels.lod.walk``."""
 
     eye: _Floats
     planes: _Planes
 
 
 _NO_PLANES = np.empty((0, 4))
-_NOBODY = _View(np.empty(0), _NO_PLANES)
+_NOBODY = _View(np.zeros(7), _NO_PLANES)
 
 
 class LevelOfDetail:
@@ -133,6 +136,7 @@ class LevelOfDetail:
     def __init__(self, grid: Grid) -> None:
         self._grid: Grid | None = require_grid(grid)
         self._heights = grid.heights
+        self._changed: NDArray[np.floating[Any]] | None = None
         self._place = (grid.transform, grid.crs)
         self._flip = grid.transform.determinant > 0.0
         self._layout = _layout(grid.shape)
@@ -149,8 +153,8 @@ class LevelOfDetail:
         self._guesses = [1.0, 1.0]  # tolerances for a budget: of heights, of pixels
         for level, kind in _generations(self._layout):
             _, width, rows = self._layout[level, kind : kind + 3]
-            bands = _parallel.row_bands(int(rows))
-            self._renew(level, kind, [(*band, 0, int(width)) for band in bands])
+            bands = [(*band, 0, int(width)) for band in _parallel.row_bands(int(rows))]
+            self._renew(level, kind, (0, grid.shape[0], 0, grid.shape[1]), bands, bands)
 
     @property
     def grid(self) -> Grid:
@@ -279,41 +283,47 @@ class LevelOfDetail:
         TypeError
             If ``rows`` or ``cols`` is no slice, or the heights are no real numbers.
         ValueError
-            If the patch is empty, has a step, or is not of the shape of ``heights``; or a height
-            is too large. Nothing is changed then.
+            If the patch is empty, has a step, or is not of the shape of ``heights``; a height is
+            too large; or no sample would have one. Nothing is changed then.
         """
         top, bottom = _span("rows", rows, self._heights.shape[0])
         left, right = _span("cols", cols, self._heights.shape[1])
         patch = _as_patch(heights, (bottom - top, right - left), self._heights)
-        if not self._heights.flags.writeable:
-            self._heights = self._heights.copy()
-        self._heights[top:bottom, left:right] = patch
+        if np.isnan(patch).all() and not _has_heights_outside(
+            self._heights, top, bottom, left, right
+        ):
+            raise ValueError("heights would hold no value at all: every sample would be NaN")
+        if self._changed is None:
+            self._changed = self._heights.copy()
+            # The kernels get a view to read only, as of a grid: they are compiled for those.
+            self._heights = self._changed.view()
+            self._heights.flags.writeable = False
+        self._changed[top:bottom, left:right] = patch
         self._grid = None
+        changed = (top, bottom, left, right)
         for level, kind in _generations(self._layout):
-            spacing = 1 << level
-            near = _near(self._layout, level, kind, (top, bottom, left, right), spacing)
-            reach = (3 if kind == _CENTRE else 2) * spacing
-            far = _near(self._layout, level, kind, (top, bottom, left, right), reach)
-            self._renew(level, kind, [near], [far])
+            near = _near(self._layout, level, kind, changed, 1 << level)
+            far = _near(self._layout, level, kind, changed, 3 << level)
+            self._renew(level, kind, changed, [near], [far])
 
     def _renew(
         self,
         level: int,
         kind: int,
-        parts: list[tuple[int, int, int, int]],
-        parts_of_bounds: list[tuple[int, int, int, int]] | None = None,
+        patch: _Part,
+        parts: list[_Part],
+        parts_of_bounds: list[_Part],
     ) -> None:
-        """Renew parts of a generation: their own errors, and bounds of these parts or others."""
+        """Renew parts of a generation: own errors where a patch matters, and bounds."""
         from rtin._kernels.lod import renew_bounds, renew_own
 
-        common = (self._heights, self._layout)
-        arrays = (self._own, self._wholes)
-        _parallel.run(renew_own, [(*common, level, kind, *part, *arrays) for part in parts])
+        common, found = (self._heights, self._layout), (self._own, self._wholes)
+        _parallel.run(renew_own, [(*common, patch, level, kind, *part, *found) for part in parts])
         _parallel.run(
             renew_bounds,
             [
-                (*common, GROWTH, level, kind, *part, *arrays, self._bounds)
-                for part in parts_of_bounds or parts
+                (*common, GROWTH, level, kind, *part, *found, self._bounds)
+                for part in parts_of_bounds
             ],
         )
 
@@ -388,7 +398,7 @@ class LevelOfDetail:
         """
         from rtin._kernels.lod import tolerance_within
 
-        kind = bool(view.eye.size)
+        kind = view is not _NOBODY
         search = _Search(self._guesses[kind])
         most = 2 * budget + _SPARE
         while True:
@@ -396,11 +406,12 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            n_coarsest = len(self._triangles(walked, math.inf))
-            tolerance = tolerance_within(self._heights, *walked, n_coarsest, budget)
+            corners = _Walk._make(of_all[:4] for of_all in walked)
+            n_coarsest = len(self._triangles(corners, math.inf))
+            tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
-            search.go_finer(len(walked.weights) / budget)
+            search.go_finer(2 * len(walked.weights) / budget)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
             self._guesses[kind] = max(_A_BIT_FINER * tolerance, _FINEST)
@@ -415,7 +426,7 @@ class LevelOfDetail:
         """Return the triangles of the vertices above a tolerance, numbered as in the walk."""
         from rtin._kernels.lod import triangles_of
 
-        return np.asarray(triangles_of(self._heights, *walked, tolerance, self._flip))
+        return np.asarray(triangles_of(*walked, tolerance, self._flip))
 
     def _mesh_of(self, walked: _Walk, tolerance: float) -> tuple[TriangleMesh, _Floats, _Floats]:
         """Return the mesh of a tolerance, what it morphs from, and what its vertices weigh."""
@@ -426,8 +437,16 @@ class LevelOfDetail:
         vertices, coarser = np.empty((len(numbers), 3)), np.empty(len(numbers))
         transform, crs = self._place
         numbers_of_transform = np.array(tuple(transform)[:6], np.float64)
-        fill_vertices(self._heights, numbers_of_transform, *walked[:3], numbers, vertices, coarser)
+        fill_vertices(numbers_of_transform, *walked[:4], numbers, vertices, coarser)
         return TriangleMesh(vertices, triangles, crs), coarser, walked.weights[numbers]
+
+
+def is_compiled() -> bool:
+    """Return whether compiled kernels lie on disk: the first call on a machine takes longer."""
+    from rtin._kernels._jit import compiled_before
+    from rtin._kernels.lod import walk
+
+    return compiled_before(walk)
 
 
 def frustum(
@@ -502,19 +521,20 @@ class _Search:
 
     def go_coarser(self) -> None:
         self._too_fine = self.tolerance
-        wanted = 2.0 * self.tolerance
+        wanted = 4.0 * self.tolerance
         self._go(min(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def go_finer(self, share: float) -> None:
         """Go on after a walk that found that share of the budget."""
         self._too_coarse = self.tolerance
-        wanted = self.tolerance * min(max(share, 1.0 / 64.0), 0.9)
+        wanted = self.tolerance * min(max(_A_BIT_FINER * share, 1.0 / 64.0), _A_BIT_FINER)
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:
-        if self._too_coarse < self._too_fine * _NARROW:  # many weigh the same: take them all
+        if min(self._too_coarse, _COARSEST) < self._too_fine * _NARROW:
+            # Many weigh the same, as all that voids demand do: walk over all of them.
             self.is_narrow = True
-            tolerance = self._too_fine
+            tolerance, self._too_fine = self._too_fine, 0.0
         self.tolerance = tolerance if tolerance >= _FINEST else 0.0
 
 
@@ -555,9 +575,7 @@ def _generations(layout: NDArray[np.int64]) -> list[tuple[int, int]]:
     return [(level, kind) for level in range(len(layout)) for kind in (_EDGE, _CENTRE)][1:]
 
 
-def _near(
-    layout: NDArray[np.int64], level: int, kind: int, patch: tuple[int, int, int, int], reach: int
-) -> tuple[int, int, int, int]:
+def _near(layout: NDArray[np.int64], level: int, kind: int, patch: _Part, reach: int) -> _Part:
     """Return the rows and places of a generation within reach of a patch, and a few more."""
     top, bottom, left, right = patch
     shift = level + 1 if kind == _CENTRE else level
@@ -640,10 +658,25 @@ def _span(name: str, value: slice, n: int) -> tuple[int, int]:
 def _as_patch(
     values: ArrayLike, shape: tuple[int, int], heights: NDArray[np.floating[Any]]
 ) -> NDArray[np.floating[Any]]:
-    patch = as_floats(values)
-    if patch.shape != shape:
+    if np.shape(values) != shape:
         raise ValueError(
             f"heights must have the patch's shape {shape} in a raster of {heights.shape}, "
-            f"got {patch.shape}"
+            f"got {np.shape(values)}"
         )
-    return require_heights(patch).astype(heights.dtype)
+    patch = require_heights(as_floats(values))
+    with np.errstate(over="ignore"):
+        rounded = patch.astype(heights.dtype)
+    if np.isinf(rounded).any():
+        raise ValueError(
+            f"heights must fit the grid's {heights.dtype}, got {np.nanmax(np.abs(patch)):g}; "
+            "make the LevelOfDetail of a float64 grid"
+        )
+    return rounded
+
+
+def _has_heights_outside(
+    heights: NDArray[np.floating[Any]], top: int, bottom: int, left: int, right: int
+) -> bool:
+    beside = heights[top:bottom, :left], heights[top:bottom, right:]
+    parts = heights[:top], heights[bottom:], *beside
+    return any(not np.isnan(row).all() for part in parts for row in part)

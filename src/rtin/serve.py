@@ -19,7 +19,6 @@ import json
 import logging
 import os
 import re
-import socket
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, Protocol
 
+from rtin._listening import address, listening
 from rtin.schemes import SCHEMES, Scheme
 
 try:
@@ -636,14 +636,12 @@ def run(
     ValueError
         If the port is not one from 0 to 65535, or an option of ``application`` is out of range.
     """
-    if not 0 <= port <= 65535:
-        raise ValueError(f"port must be 0 to 65535, got {port}")
     server = uvicorn.Server(_config(application(tiles, **options)))
-    with _listening(host, port) as listener:
-        address = _address(host, listener.getsockname()[1])
-        say(f"serving {address} (Ctrl-C ends it)")
-        say(f"  {address}viewer.html  the terrain, without anything from outside")
-        say(f"  {address}cesium.html  the terrain on CesiumJS's globe")
+    with listening(host, port) as listener:
+        home = address(host, listener.getsockname()[1])
+        say(f"serving {home} (Ctrl-C ends it)")
+        say(f"  {home}viewer.html  the terrain, without anything from outside")
+        say(f"  {home}cesium.html  the terrain on CesiumJS's globe")
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listener])
 
@@ -662,21 +660,3 @@ def _config(app: Starlette) -> uvicorn.Config:
         timeout_keep_alive=20,
         timeout_graceful_shutdown=2,
     )
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    try:
-        family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        return socket.create_server(place[:2], family=family, backlog=512)
-    except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
-        reason = "another program uses it" if taken else error.strerror or str(error)
-        raise OSError(
-            f"cannot serve on port {port} of {host}: {reason}; "
-            "choose another port, or 0 for any that is free"
-        ) from None
-
-
-def _address(host: str, port: int) -> str:
-    name = "localhost" if host in ("0.0.0.0", "::", "") else host
-    return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"

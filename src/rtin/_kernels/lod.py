@@ -15,7 +15,7 @@ all, are not kept: a few samples tell all about them.
 
 import numpy as np
 
-from rtin._kernels._jit import jit
+from rtin._kernels._jit import inlined, jit
 from rtin._kernels.coarsening import is_valid, with_room
 from rtin._kernels.lattice import (
     apexes,
@@ -24,6 +24,7 @@ from rtin._kernels.lattice import (
     is_inside,
     midpoint,
     row_spans,
+    runs_down_right,
     spacing_of,
 )
 from rtin._kernels.planes import largest_in_row, triangle_plane
@@ -31,7 +32,9 @@ from rtin._kernels.planes import largest_in_row, triangle_plane
 CENTRE, EDGE = 0, 3  # columns of the layout
 ANY, ALL = 1, 2
 ERROR, LOW, HIGH = 0, 1, 2
+MIXED = 4  # beside a slot: a triangle is split there to tell heights from voids
 SMALL = 16  # the spacing of triangles that are searched sample by sample
+SHORT = 8  # rows of triangles for which vector speed does not pay
 LEAST = 1e-45  # that float32 holds
 
 
@@ -47,21 +50,21 @@ def level_of(spacing):
     return level
 
 
-@jit
+@inlined
 def holds(layout, level, kind, row, col):
     """Whether a vertex of the lattice is in the hierarchy: not far outside the raster."""
     shift = level + 1 if kind == CENTRE else level
     return row >> shift < layout[level, kind + 2] and col >> (level + 1) < layout[level, kind + 1]
 
 
-@jit
+@inlined
 def entry_of(layout, level, kind, row, col):
     """Where the hierarchy keeps a vertex."""
     shift = level + 1 if kind == CENTRE else level
     return layout[level, kind] + (row >> shift) * layout[level, kind + 1] + (col >> (level + 1))
 
 
-@jit
+@inlined
 def vertex_at(level, kind, i, j):
     """Row and column of the vertex in row i and place j of its generation."""
     if kind == CENTRE:
@@ -82,22 +85,28 @@ def direction_towards(along_axis, row_step, col_step):
     return 2 - (col_step > 0)
 
 
-@jit
+@inlined
 def search(heights, plane_row, plane_col, plane, row, col, direction, largest):
     """The largest distance from a plane, of ``largest`` and those of a triangle's samples."""
     apex, row_slope, col_slope = plane
     first, last, left, left_step, right, right_step = row_spans(
         row, col, spacing_of(row, col), direction
     )
+    is_short = last - first <= SHORT
     for sample_row in range(first, last + 1):
         distance = abs(sample_row - row)
         start, end = left + left_step * distance, right + right_step * distance + 1
         value = apex + row_slope * (sample_row - plane_row) + col_slope * (start - plane_col)
-        largest = largest_in_row(heights, sample_row, start, end, value, col_slope, largest)
+        if not is_short:
+            largest = largest_in_row(heights, sample_row, start, end, value, col_slope, largest)
+            continue
+        for i in range(end - start):
+            error = abs(heights[sample_row, start + i] - (value + col_slope * i))
+            largest = error if error > largest else largest
     return largest
 
 
-@jit
+@inlined
 def tilt(heights, plane_row, plane_col, plane, row, col):
     """The distance of one sample from a plane."""
     apex, row_slope, col_slope = plane
@@ -105,7 +114,7 @@ def tilt(heights, plane_row, plane_col, plane, row, col):
     return abs(value - heights[row, col])
 
 
-@jit
+@inlined
 def side_of(row, col, apex_row, apex_col):
     """By how many bits what is said of the triangle with that apex is shifted."""
     p_row, p_col, _, _ = apexes(row, col, spacing_of(row, col))
@@ -113,21 +122,39 @@ def side_of(row, col, apex_row, apex_col):
 
 
 @jit
+def part_bound(heights, layout, own, wholes, plane_row, plane_col, plane, row, col, direction):
+    """No sample of a part of a triangle is farther from its plane; inf where nothing is known."""
+    v_row, v_col = midpoint(row, col, spacing_of(row, col), direction)
+    spacing = spacing_of(v_row, v_col)
+    kind = CENTRE if is_centre(v_row, v_col, spacing) else EDGE
+    entry = entry_of(layout, level_of(spacing), kind, v_row, v_col)
+    if not wholes[entry] >> side_of(v_row, v_col, row, col) & ALL:
+        return np.inf  # the own error leaves out triangles that have a void for a corner
+    a_row, a_col, b_row, b_col = hypotenuse(row, col, spacing_of(row, col), direction)
+    farthest = tilt(heights, plane_row, plane_col, plane, row, col)
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, a_row, a_col))
+    farthest = max(farthest, tilt(heights, plane_row, plane_col, plane, b_row, b_col))
+    return farthest + own[entry]
+
+
+@jit
 def triangle_error(heights, layout, own, wholes, row, col, direction):
     """Largest distance of a sample of a triangle with three heights from its plane.
 
-    By branch and bound: no sample of a part is farther away than the part's own error and the
-    distance of its corners together.
+    By branch and bound, the more promising half first: no sample of a part is farther away than
+    the part's own error and the distance of its corners together.
     """
     spacing = spacing_of(row, col)
     plane = triangle_plane(heights, row, col, spacing, direction, is_centre(row, col, spacing))
     if spacing <= SMALL:
         return search(heights, row, col, plane, row, col, direction, 0.0)
     largest = 0.0
-    stack, n_stack = np.empty((128, 3), np.int64), 1
-    stack[0, 0], stack[0, 1], stack[0, 2] = row, col, direction
+    stack, bounds, n_stack = np.empty((64, 3), np.int64), np.empty(64, np.float64), 1
+    stack[0, 0], stack[0, 1], stack[0, 2], bounds[0] = row, col, direction, np.inf
     while n_stack > 0:
         n_stack -= 1
+        if bounds[n_stack] <= largest:
+            continue
         t_row, t_col, t_direction = stack[n_stack, 0], stack[n_stack, 1], stack[n_stack, 2]
         t_spacing = spacing_of(t_row, t_col)
         if t_spacing <= SMALL:
@@ -135,27 +162,24 @@ def triangle_error(heights, layout, own, wholes, row, col, direction):
             continue
         v_row, v_col = midpoint(t_row, t_col, t_spacing, t_direction)
         a_row, a_col, b_row, b_col = hypotenuse(t_row, t_col, t_spacing, t_direction)
-        v_spacing = spacing_of(v_row, v_col)
-        v_is_centre = is_centre(v_row, v_col, v_spacing)
-        kind = CENTRE if v_is_centre else EDGE
-        entry = entry_of(layout, level_of(v_spacing), kind, v_row, v_col)
-        # The own errors of triangles with voids say nothing where a corner is one.
-        if largest > 0.0 and wholes[entry] >> side_of(v_row, v_col, t_row, t_col) & ALL:
-            farthest = tilt(heights, row, col, plane, t_row, t_col)
-            farthest = max(farthest, tilt(heights, row, col, plane, a_row, a_col))
-            farthest = max(farthest, tilt(heights, row, col, plane, b_row, b_col))
-            if farthest + own[entry] <= largest:
-                continue
+        along_axis = is_centre(v_row, v_col, spacing_of(v_row, v_col))
         for leg in range(2):
             end_row, end_col = (a_row, a_col) if leg == 0 else (b_row, b_col)
             to_row, to_col = (t_row + end_row) // 2 - v_row, (t_col + end_col) // 2 - v_col
-            stack[n_stack, 0], stack[n_stack, 1] = v_row, v_col
-            stack[n_stack, 2] = direction_towards(v_is_centre, to_row, to_col)
-            n_stack += 1
+            half = direction_towards(along_axis, to_row, to_col)
+            stack[n_stack + leg, 0], stack[n_stack + leg, 1] = v_row, v_col
+            stack[n_stack + leg, 2] = half
+            bounds[n_stack + leg] = part_bound(
+                heights, layout, own, wholes, row, col, plane, v_row, v_col, half
+            )
+        if bounds[n_stack] > bounds[n_stack + 1]:
+            bounds[n_stack], bounds[n_stack + 1] = bounds[n_stack + 1], bounds[n_stack]
+            stack[n_stack, 2], stack[n_stack + 1, 2] = stack[n_stack + 1, 2], stack[n_stack, 2]
+        n_stack += 2
     return largest
 
 
-@jit
+@inlined
 def own_error(heights, layout, own, wholes, row, col):
     """The largest error of the triangles whose hypotenuse a vertex bisects; rounded up."""
     spacing = spacing_of(row, col)
@@ -186,13 +210,13 @@ def rounded_down(value):
     return np.nextafter(np.float32(value), np.float32(-np.inf))
 
 
-@jit
+@inlined
 def has_height(heights, row, col):
     """Whether there is a sample with a height at a place, which may be outside the lattice."""
     return row >= 0 and col >= 0 and is_valid(heights, row, col)
 
 
-@jit
+@inlined
 def ends_of(row, col):
     """Both ends of the edge that a vertex bisects, as (row, col, row, col)."""
     spacing = spacing_of(row, col)
@@ -203,7 +227,7 @@ def ends_of(row, col):
     return row - row_step, col - col_step, row + row_step, col + col_step
 
 
-@jit
+@inlined
 def has_three_heights(heights, row, col, apex_row, apex_col):
     """Whether the triangle with that apex, whose hypotenuse a vertex bisects, has three heights."""
     a_row, a_col, b_row, b_col = ends_of(row, col)
@@ -217,7 +241,7 @@ def has_three_heights(heights, row, col, apex_row, apex_col):
 # --- wholes ---------------------------------------------------------------------------------------
 
 
-@jit
+@inlined
 def unit_wholes(heights, row, col):
     """What ``wholes`` would say of an edge vertex of spacing 1."""
     p_row, p_col, q_row, q_col = apexes(row, col, 1)
@@ -233,7 +257,7 @@ def unit_wholes(heights, row, col):
     return bits
 
 
-@jit
+@inlined
 def joined_wholes(heights, layout, wholes, row, col):
     """What ``wholes`` is to say of a vertex, by what it says of its children."""
     spacing = spacing_of(row, col)
@@ -265,7 +289,7 @@ def joined_wholes(heights, layout, wholes, row, col):
     return bits
 
 
-@jit
+@inlined
 def must_split(heights, bits, row, col):
     """Whether a triangle whose hypotenuse a vertex bisects is neither whole nor to be dropped."""
     p_row, p_col, q_row, q_col = apexes(row, col, spacing_of(row, col))
@@ -283,22 +307,48 @@ def must_split(heights, bits, row, col):
 
 
 @jit
-def renew_own(heights, layout, level, kind, first, end, left, right, own, wholes):
-    """Write own errors and wholes of some rows and places of a generation."""
+def touches(kind, spacing, row, col, patch):
+    """Whether a triangle whose hypotenuse a vertex bisects may have a sample of a patch.
+
+    The patch is given by its first and end row, and its first and end column.
+    """
+    down = max(patch[0] - row, row - patch[1] + 1, 0)
+    across = max(patch[2] - col, col - patch[3] + 1, 0)
+    return max(down, across) <= spacing if kind == CENTRE else down + across <= spacing
+
+
+@jit
+def renew_own(heights, layout, patch, level, kind, first, end, left, right, own, wholes):
+    """Write own errors and wholes of some rows and places of a generation, if a patch matters."""
     size = 1 << len(layout)
     for i in range(first, end):
         for j in range(left, right):
             row, col = vertex_at(level, kind, i, j)
-            if is_inside(row, col, size):
+            if is_inside(row, col, size) and touches(kind, 1 << level, row, col, patch):
                 entry = entry_of(layout, level, kind, row, col)
+                if level == 0 and is_whole_cell(heights, row, col):
+                    wholes[entry] = 5 * (ANY | ALL)
+                    continue
                 wholes[entry] = joined_wholes(heights, layout, wholes, row, col)
                 if level > 0:
                     own[entry] = own_error(heights, layout, own, wholes, row, col)
 
 
-@jit
+@inlined
 def unit_bounds(heights, row, col):
     """What ``bounds`` would say of an edge vertex of spacing 1, not rounded."""
+    if 0 < row < heights.shape[0] - 1 and 0 < col < heights.shape[1] - 1:
+        height, up, down = heights[row, col], heights[row - 1, col], heights[row + 1, col]
+        left, right = heights[row, col - 1], heights[row, col + 1]
+        if height + up + down + left + right == height + up + down + left + right:
+            a, b = (up, down) if row & 1 else (left, right)
+            return abs((np.float64(a) + b) / 2 - height), np.float64(height), np.float64(height)
+    return unit_bounds_at_voids(heights, row, col)
+
+
+@jit
+def unit_bounds_at_voids(heights, row, col):
+    """The same where one of the samples around it may be a void."""
     height, error = np.nan, 0.0
     if has_height(heights, row, col):
         height = np.float64(heights[row, col])
@@ -310,11 +360,12 @@ def unit_bounds(heights, row, col):
             between = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
             error = abs(between - height)
     if must_split(heights, unit_wholes(heights, row, col), row, col):
-        error = -max(error, LEAST)
+        low, high = range_of_corners(heights, row, col)
+        return -max(error, LEAST), low, high
     return error, height, height
 
 
-@jit
+@inlined
 def bounds_of(heights, layout, bounds, level, kind, row, col):
     """Error, lowest and highest sample of a vertex and its descendants; NaN where there is none."""
     if kind == EDGE and level == 0:
@@ -327,12 +378,51 @@ def bounds_of(heights, layout, bounds, level, kind, row, col):
     )
 
 
-@jit
+@inlined
 def widen(low, high, other_low, other_high):
     """The range that holds both; of one that is NaN the other."""
     low = other_low if not low <= other_low else low
     high = other_high if not high >= other_high else high
     return low, high
+
+
+@inlined
+def is_whole_cell(heights, row, col):
+    """Whether all nine samples around a centre vertex of spacing 1 have a height."""
+    if row + 1 >= heights.shape[0] or col + 1 >= heights.shape[1]:
+        return False
+    total = 0.0
+    for i in range(row - 1, row + 2):
+        total += heights[i, col - 1] + heights[i, col] + heights[i, col + 1]
+    return total == total
+
+
+@inlined
+def bounds_of_cell(heights, growth, row, col):
+    """Error, lowest and highest sample of such a vertex and its children: the common case, fast."""
+    nw, n, ne = as_three(heights, row - 1, col)
+    w, centre, e = as_three(heights, row, col)
+    sw, s, se = as_three(heights, row + 1, col)
+    across = nw + se if runs_down_right(row, col, 1) else ne + sw
+    of_edges = max(
+        abs((nw + ne) / 2 - n),
+        abs((sw + se) / 2 - s),
+        abs((nw + sw) / 2 - w),
+        abs((ne + se) / 2 - e),
+    )
+    low = min(nw, n, ne, w, centre, e, sw, s, se)
+    high = max(nw, n, ne, w, centre, e, sw, s, se)
+    return max(abs(across / 2 - centre), growth * of_edges), low, high
+
+
+@inlined
+def as_three(heights, row, col):
+    """A sample and its neighbours to the left and right, as float64."""
+    return (
+        np.float64(heights[row, col - 1]),
+        np.float64(heights[row, col]),
+        np.float64(heights[row, col + 1]),
+    )
 
 
 @jit
@@ -348,6 +438,11 @@ def renew_bounds(
             if not is_inside(row, col, size):
                 continue
             entry = entry_of(layout, level, kind, row, col)
+            if level == 0 and is_whole_cell(heights, row, col):
+                error, low, high = bounds_of_cell(heights, growth, row, col)
+                bounds[entry, ERROR] = rounded_up(error)
+                bounds[entry, LOW], bounds[entry, HIGH] = rounded_down(low), -rounded_down(-high)
+                continue
             if level > 0:
                 error = np.float64(own[entry])
             else:
@@ -372,7 +467,7 @@ def renew_bounds(
             bounds[entry, LOW], bounds[entry, HIGH] = rounded_down(low), -rounded_down(-high)
 
 
-@jit
+@inlined
 def range_of_corners(heights, row, col):
     """Lowest and highest of a vertex and the corners around it; NaN where all are voids."""
     low, high = np.nan, np.nan
@@ -407,38 +502,15 @@ def is_outside(planes, row, col, reach, low, high):
 
 
 @jit
-def distance_to(eye, row, col, reach, low, high):
-    """Distance from the eye to a box of samples, on the ground and up."""
-    down = max(abs(row - eye[0]) - reach, 0.0) * eye[3]
-    across = max(abs(col - eye[1]) - reach, 0.0) * eye[4]
-    up = max(low - eye[2], eye[2] - high, 0.0)
-    return np.sqrt(down * down + across * across + up * up)
+def as_seen(error, scale, down, across, up):
+    """An error in pixels, at the distance of those three parts."""
+    distance = np.sqrt(down * down + across * across + up * up)
+    if distance > 0.0:
+        return error * scale / distance
+    return np.inf if error > 0.0 else 0.0
 
 
-@jit
-def weight_of(heights, layout, bounds, eye, planes, level, kind, row, col):
-    """How large the error without a vertex and its descendants may be: as a height, or as seen.
-
-    ``eye`` holds row, column and height of the eye; what a row and a column are long, at least;
-    what either is, at most; and the pixels of a height of 1 at a distance of 1. It is empty where
-    heights count. Negative where nothing is seen.
-    """
-    error, low, high = bounds_of(heights, layout, bounds, level, kind, row, col)
-    if eye.size == 0:
-        return np.inf if error < 0.0 else error
-    if error == 0.0:
-        return 0.0
-    reach = reach_of(level, kind)
-    if is_outside(planes, row, col, reach + 1e-6, low, high):
-        return -1.0
-    if error < 0.0:
-        width = (2 << level) * eye[5]
-        error = max(-error, width * (np.sqrt(2.0) if kind == CENTRE else 1.0))
-    distance = distance_to(eye, row, col, reach + 1e-6, low, high)
-    return error * eye[6] / distance if distance > 0.0 else np.inf
-
-
-@jit
+@inlined
 def slot_of_hash(row, col, level, table):
     """Where to look first for a vertex in a hash table, whose length is a power of two."""
     mixed = np.int64(row >> level) * 2654435761 + np.int64(col >> level) * 805459861
@@ -460,7 +532,7 @@ def tabled(places, first, end, level):
     return table
 
 
-@jit
+@inlined
 def find(table, places, level, row, col):
     """The number of the vertex at a place; -1 where there is none in the table."""
     slot = slot_of_hash(row, col, level, table)
@@ -483,77 +555,154 @@ def step_of(kind, slot):
     return 2 * (slot > 1) - 1, 2 * (slot == 1 or slot == 2) - 1
 
 
+@inlined
+def height_at(heights, row, col):
+    """The height at a place of the lattice; NaN outside the raster."""
+    if row < heights.shape[0] and col < heights.shape[1]:
+        return np.float64(heights[row, col])
+    return np.nan
+
+
+@jit
+def descend(
+    heights,
+    layout,
+    bounds,
+    eye,
+    planes,
+    tolerance,
+    level,
+    kind,
+    first,
+    end,
+    places,
+    z,
+    around,
+    slots,
+    weights,
+    n,
+):
+    """Append the children, of that level and kind, of the vertices from first to before end.
+
+    Arrays are read here and not in small functions: to count references to them takes longer.
+    """
+    size = 1 << len(layout)
+    start, width, n_rows = layout[level, kind], layout[level, kind + 1], layout[level, kind + 2]
+    row_shift, col_shift = level + 1 if kind == CENTRE else level, level + 1
+    eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
+    row_length, col_length = eye[3], eye[4]
+    breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
+    reach_of_samples = reach_of(level, kind) + 1e-6
+    turn = kind == CENTRE
+    first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
+    table = tabled(places, first, end, level)
+    for number in range(first, end):
+        row, col = places[number, 0], places[number, 1]
+        is_on_border = kind == EDGE and (row >> level == 1 or col >> level == 1)
+        for turned in range(4 if is_on_border else 2):
+            slot = (turned + first_slot) & 3
+            row_step, col_step = step_of(kind, slot)
+            u_row, u_col = row + (row_step << level), col + (col_step << level)
+            if not is_inside(u_row, u_col, size):
+                continue
+            if u_row >> row_shift >= n_rows or u_col >> col_shift >= width:
+                continue
+            o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
+            weight, other = weights[number], -1
+            if is_inside(o_row, o_col, size):
+                other = find(table, places, level, o_row, o_col) if turned < 2 else -1
+                if other < 0:
+                    continue
+                weight = min(weight, weights[other])
+            if kind == EDGE and level == 0:
+                error, low, high = unit_bounds(heights, u_row, u_col)
+            else:
+                entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
+                error = np.float64(bounds[entry, ERROR])
+                low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+            is_mixed = error < 0.0
+            # The outline is off as far as the corners of finest triangles are.
+            reach = reach_of_samples + is_mixed
+            if scale == 0.0:
+                weight = min(weight, np.inf if is_mixed else error)
+            else:
+                down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
+                across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
+                up = max(low - eye_z, eye_z - high, 0.0)
+                error = max(-error, breadth) if is_mixed else error
+                weight = min(weight, as_seen(error, scale, down, across, up))
+            if not weight > tolerance:
+                continue
+            if planes.shape[0] > 0 and is_outside(planes, u_row, u_col, reach, low, high):
+                continue
+            places[n, 0], places[n, 1] = u_row, u_col
+            z[n] = height_at(heights, u_row, u_col)
+            around[n, slot] = other
+            around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
+            around[n, (slot + 2) & 3] = number
+            around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
+            slots[n], weights[n] = slot + MIXED * is_mixed, weight
+            n += 1
+    return n
+
+
 @jit
 def walk(heights, layout, bounds, eye, planes, tolerance, most):
     """Every vertex that weighs more than a tolerance, from the coarsest on; at most about ``most``.
 
-    Of each vertex: its place; the numbers of the four corners around it, clockwise from north or
-    north-west, -1 where that is outside; the slot of its second apex among them, which is its own
-    slot around the first; what it weighs. The first four are the lattice's corners.
+    What a vertex weighs is how large the error without it and its descendants may be. ``eye`` holds
+    row, column and height of the eye; what a row and a column are long, at least; what either is,
+    at most; and the pixels of a height of 1 at a distance of 1, 0 where heights themselves count.
+    What lies outside a plane weighs nothing.
+
+    Of each vertex: its place and height; the numbers of the four corners around it, clockwise from
+    north or north-west, -1 where that is outside; the slot of its second apex among them, which is
+    its own slot around the first, and whether it is mixed; what it weighs. The first four are the
+    lattice's corners.
     """
     size = 1 << len(layout)
-    places = np.empty((1024, 2), np.int32)
-    around = np.empty((1024, 4), np.int32)
-    slots = np.empty(1024, np.uint8)
+    places, z = np.empty((1024, 2), np.int32), np.empty(1024, np.float64)
+    around, slots = np.empty((1024, 4), np.int32), np.empty(1024, np.uint8)
     weights = np.empty(1024, np.float64)
     around[:4], slots[:4], weights[:4] = -1, 0, np.inf
     for corner in range(4):
         places[corner, 0], places[corner, 1] = (corner >> 1) * size, (corner & 1) * size
+        z[corner] = height_at(heights, places[corner, 0], places[corner, 1])
+    # The roots' apexes are the corners in the north-east and the south-west.
     around[2, 0], around[2, 1], around[1, 2], around[1, 3] = 0, 3, 3, 0
-    n = 4
-    top = len(layout) - 1
-    if top >= 0:
-        weight = weight_of(heights, layout, bounds, eye, planes, top, CENTRE, size // 2, size // 2)
-        if weight > tolerance:
-            places[4, 0], places[4, 1] = size // 2, size // 2
-            around[4, 0], around[4, 1], around[4, 2], around[4, 3] = 0, 1, 3, 2
-            slots[4], weights[4], n = 1, weight, 5
-    first = 4
-    for generation in range(1, 2 * len(layout)):
-        level = top - generation // 2
+    first, end, n = 1, 3, 4
+    for generation in range(2 * len(layout)):
+        level = len(layout) - 1 - generation // 2
         kind = EDGE if generation & 1 else CENTRE
-        end = n
-        if first == end or n > most:
-            break
         n_needed = n + 4 * (end - first)
         if n_needed > slots.size:
             larger = max(n_needed, 2 * slots.size)
             places, around = with_rows(places, n, larger), with_rows(around, n, larger)
             slots, weights = with_room(slots, larger), with_room(weights, larger)
-        table = tabled(places, first, end, level)
-        turn = kind == CENTRE
-        for number in range(first, end):
-            row, col = places[number, 0], places[number, 1]
-            for slot in range(4):
-                row_step, col_step = step_of(kind, slot)
-                u_row, u_col = row + (row_step << level), col + (col_step << level)
-                o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
-                if not is_inside(u_row, u_col, size):
-                    continue
-                other = -1
-                if is_inside(o_row, o_col, size):
-                    if row_step + col_step < 0 or (row_step + col_step == 0 and row_step < 0):
-                        continue  # found from the other apex
-                    other = find(table, places, level, o_row, o_col)
-                    if other < 0:
-                        continue
-                if not holds(layout, level, kind, u_row, u_col):
-                    continue
-                weight = weight_of(heights, layout, bounds, eye, planes, level, kind, u_row, u_col)
-                weight = min(weight, weights[number])
-                if other >= 0:
-                    weight = min(weight, weights[other])
-                if not weight > tolerance:
-                    continue
-                places[n, 0], places[n, 1] = u_row, u_col
-                around[n, slot] = other
-                around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
-                around[n, (slot + 2) & 3] = number
-                around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
-                slots[n], weights[n] = slot, weight
-                n += 1
-        first = end
-    return places[:n], around[:n], slots[:n], weights[:n]
+            z = with_room(z, larger)
+        n_before = n
+        n = descend(
+            heights,
+            layout,
+            bounds,
+            eye,
+            planes,
+            tolerance,
+            level,
+            kind,
+            first,
+            end,
+            places,
+            z,
+            around,
+            slots,
+            weights,
+            n,
+        )
+        first, end = n_before, n
+        if first == end or n > most:
+            break
+    return places[:n], z[:n], around[:n], slots[:n], weights[:n]
 
 
 @jit
@@ -568,27 +717,12 @@ def with_rows(array, n_rows, n_wanted):
 
 
 @jit
-def corners_of(heights, places, around, number, slot):
-    """Ends of the hypotenuse of a vertex's triangle in a slot; -1 where there is no triangle."""
-    row, col = places[number, 0], places[number, 1]
-    spacing = spacing_of(row, col)
-    turn = 1 - is_centre(row, col, spacing)
-    a, b = around[number, (slot + 1 - turn) & 3], around[number, (slot - turn) & 3]
-    if a < 0 or b < 0:
-        return -1, -1
-    for corner in (number, np.int64(a), np.int64(b)):
-        if not is_valid(heights, places[corner, 0], places[corner, 1]):
-            return -1, -1
-    return a, b
-
-
-@jit
 def taken_slots(around, slots, weights, tolerance):
     """For each vertex the slots, as bits, whose triangles are split."""
     taken = np.zeros(slots.size, np.uint8)
     for number in range(4, slots.size):
         if weights[number] > tolerance:
-            slot = slots[number]
+            slot = slots[number] & 3
             taken[around[number, (slot + 2) & 3]] |= 1 << slot
             if around[number, slot] >= 0:
                 taken[around[number, slot]] |= 1 << ((slot + 2) & 3)
@@ -596,33 +730,36 @@ def taken_slots(around, slots, weights, tolerance):
 
 
 @jit
-def triangles_of(heights, places, around, slots, weights, tolerance, flip):
+def triangles_of(places, z, around, slots, weights, tolerance, flip):
     """The triangles of the vertices above a tolerance: hypotenuse first, apex last."""
     taken = taken_slots(around, slots, weights, tolerance)
     triangles, n = np.empty((2 * slots.size + 2, 3), np.int32), 0
     for number in range(1, slots.size):
-        if number >= 4 and not weights[number] > tolerance:
+        if (number >= 4 and not weights[number] > tolerance) or z[number] != z[number]:
             continue
+        row, col = places[number, 0], places[number, 1]
+        turn = 1 - is_centre(row, col, spacing_of(row, col))
         for slot in range(4):
             if taken[number] >> slot & 1:
                 continue
-            a, b = corners_of(heights, places, around, number, slot)
-            if a >= 0:
-                triangles[n, 0], triangles[n, 1] = (b, a) if flip else (a, b)
-                triangles[n, 2] = number
-                n += 1
+            a, b = around[number, (slot + 1 - turn) & 3], around[number, (slot - turn) & 3]
+            if a < 0 or b < 0 or z[a] + z[b] != z[a] + z[b]:
+                continue
+            triangles[n, 0] = b if flip else a
+            triangles[n, 1] = a if flip else b
+            triangles[n, 2] = number
+            n += 1
     return triangles[:n]
 
 
 @jit
 def renumber(triangles, n_vertices):
     """Number the vertices that triangles have anew, in place; return their numbers so far."""
-    is_used = np.zeros(n_vertices, np.bool_)
+    number_of = np.full(n_vertices, -1, np.int32)
     for i in range(triangles.shape[0]):
         for corner in range(3):
-            is_used[triangles[i, corner]] = True
-    before = np.flatnonzero(is_used)
-    number_of = np.empty(n_vertices, np.int32)
+            number_of[triangles[i, corner]] = 0
+    before = np.flatnonzero(number_of == 0)
     for number in range(before.size):
         number_of[before[number]] = number
     for i in range(triangles.shape[0]):
@@ -632,55 +769,56 @@ def renumber(triangles, n_vertices):
 
 
 @jit
-def fill_vertices(heights, transform, places, around, slots, numbers, vertices, coarser):
-    """Write x, y and z of some vertices, and the height of the edge that each bisects."""
+def fill_vertices(transform, places, z, around, slots, numbers, vertices, coarser):
+    """Write x, y and z of some vertices, and the height of the edge that each bisects.
+
+    Its own height where it is mixed: the triangles before were not drawn, or over voids, so no
+    promise was kept on that edge.
+    """
     for i in range(numbers.size):
         number = numbers[i]
         row, col = places[number, 0], places[number, 1]
         vertices[i, 0] = transform[0] * col + transform[1] * row + transform[2]
         vertices[i, 1] = transform[3] * col + transform[4] * row + transform[5]
-        vertices[i, 2] = coarser[i] = heights[row, col]
-        if number < 4:
-            continue
-        a, b = around[number, (slots[number] + 1) & 3], around[number, (slots[number] + 3) & 3]
-        a_row, a_col, b_row, b_col = places[a, 0], places[a, 1], places[b, 0], places[b, 1]
-        if is_valid(heights, a_row, a_col) and is_valid(heights, b_row, b_col):
-            coarser[i] = (np.float64(heights[a_row, a_col]) + heights[b_row, b_col]) / 2
+        vertices[i, 2] = coarser[i] = z[number]
+        slot = slots[number]
+        if number >= 4 and slot < MIXED:
+            between = (z[around[number, (slot + 1) & 3]] + z[around[number, (slot + 3) & 3]]) / 2
+            if between == between:
+                coarser[i] = between
 
 
 # --- budgets --------------------------------------------------------------------------------------
 
 
-@jit
-def triangles_gained(heights, places, around, slots, number):
+@inlined
+def triangles_gained(z, around, slots, number):
     """How many triangles more there are with a vertex than without it."""
-    gained = 0
-    row, col = places[number, 0], places[number, 1]
-    slot = slots[number]
-    a, b = around[number, (slot + 1) & 3], around[number, (slot + 3) & 3]
-    with_a = is_valid(heights, places[a, 0], places[a, 1])
-    with_b = is_valid(heights, places[b, 0], places[b, 1])
-    with_self = is_valid(heights, row, col)
-    for apex in (around[number, slot], around[number, (slot + 2) & 3]):
-        if apex >= 0 and is_valid(heights, places[apex, 0], places[apex, 1]):
-            gained += (with_self and with_a) + (with_self and with_b) - (with_a and with_b)
+    gained, slot = 0, slots[number]
+    # As numbers: NumPy's booleans can't be subtracted.
+    with_self = int(not np.isnan(z[number]))
+    with_a = int(not np.isnan(z[around[number, (slot + 1) & 3]]))
+    with_b = int(not np.isnan(z[around[number, (slot + 3) & 3]]))
+    for side in range(0, 4, 2):
+        apex = around[number, (slot + side) & 3]
+        if apex >= 0 and z[apex] == z[apex]:
+            gained += with_self * (with_a + with_b) - with_a * with_b
     return gained
 
 
 @jit
-def tolerance_within(heights, places, around, slots, weights, n_triangles, budget):
+def tolerance_within(z, around, slots, weights, n_triangles, budget):
     """The smallest weight at which the vertices above it make no more triangles than a budget.
 
     ``n_triangles`` are there without any vertex. Returns -1 where all fit.
     """
-    key_shift = 46  # of a float64's bits: 64 buckets for each power of two
-    keys = weights[4:].view(np.int64) >> key_shift
+    keys = weights[4:].view(np.int64) >> 46  # a bucket for each 64th of an octave
     if keys.size == 0:
         return -1.0
     lowest = keys.min()
     gains = np.zeros(keys.max() - lowest + 1, np.int64)
     for i in range(keys.size):
-        gains[keys[i] - lowest] += triangles_gained(heights, places, around, slots, i + 4)
+        gains[keys[i] - lowest] += triangles_gained(z, around, slots, i + 4)
     bucket = gains.size - 1
     while bucket >= 0 and n_triangles + gains[bucket] <= budget:
         n_triangles += gains[bucket]
@@ -693,7 +831,7 @@ def tolerance_within(heights, places, around, slots, weights, n_triangles, budge
     while i < numbers.size:
         weight, of_ties = weights[numbers[i]], 0
         while i < numbers.size and weights[numbers[i]] == weight:
-            of_ties += triangles_gained(heights, places, around, slots, numbers[i])
+            of_ties += triangles_gained(z, around, slots, numbers[i])
             i += 1
         if n_triangles + of_ties > budget:
             return weight

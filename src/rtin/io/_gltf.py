@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 from rtin import _tint
 from rtin.io._placement import PlacedMesh
 
-__all__ = ["bounds", "encode", "glb", "lay_over", "packed", "vertex_normals", "y_up", "z_up"]
+__all__ = [
+    "bounds",
+    "encode",
+    "glb",
+    "lay_over",
+    "normals_of",
+    "packed",
+    "vertex_normals",
+    "y_up",
+    "z_up",
+]
 
 _Floats = NDArray[np.float64]
 _Tree = dict[str, Any]
@@ -167,9 +177,12 @@ def vertex_normals(placed: PlacedMesh) -> _Floats:
 
     A vertex that no triangle uses, or whose triangles cancel out, has (0, 0, 1).
     """
-    crosses = placed.area_vectors()
-    numbers = placed.triangles.ravel()
-    n_vertices = len(placed.vertices)
+    return normals_of(placed.area_vectors(), placed.triangles, len(placed.vertices))
+
+
+def normals_of(crosses: _Floats, triangles: NDArray[np.int32], n_vertices: int) -> _Floats:
+    """Return what ``vertex_normals`` does, from each triangle's normal as long as its area."""
+    numbers = triangles.ravel()
     sums = np.column_stack(
         [np.bincount(numbers, np.repeat(crosses[:, i], 3), n_vertices) for i in range(3)]
     )

@@ -1,0 +1,637 @@
+"""The page that shows a terrain: its logic, and the page itself in a real browser."""
+
+import asyncio
+import gc
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+import rtin
+from test_html_page import CHROMIUM, FLAGS, pixels, terrain_share
+
+pytest.importorskip("viser")
+
+from rtin.viewer import page as pages
+from rtin.viewer import scene
+from rtin.viewer._panel import told
+from rtin.viewer.opening import Opening
+from rtin.viewer.scene import SIDE, Place, Settings, Terrain, View
+from test_serve import interrupted, started
+
+OVERVIEW = View((0.0, -75.0, 55.0), (0.0, -5.0, 0.0), height=600)
+
+
+def hills(shape=(129, 200), step=30.0):
+    """A grid of ridges and noise, 600 m high, in metres far from the origin."""
+    row, col = np.indices(shape)
+    noise = np.random.default_rng(1).normal(size=shape)
+    heights = 300.0 + 250.0 * np.sin(row / 17) * np.cos(col / 23) + 8.0 * noise
+    return rtin.Grid(heights.astype("f4"), (step, 0.0, 4e5, 0.0, -step, 5e6))
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    return Terrain(hills())
+
+
+# --- the scene ------------------------------------------------------------------------------------
+
+
+def decoded(glb):
+    """Positions, triangles and all else that a GLB says."""
+    length = int.from_bytes(glb[12:16], "little")
+    tree, binary = json.loads(glb[20 : 20 + length]), glb[28 + length :]
+
+    def values(number, dtype, width):
+        accessor = tree["accessors"][number]
+        view = tree["bufferViews"][accessor["bufferView"]]
+        part = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        return np.frombuffer(part, dtype).reshape(-1, width)
+
+    (triangles,) = tree["meshes"][0]["primitives"]
+    lines = tree["meshes"][1]["primitives"][0]["indices"] if len(tree["meshes"]) > 1 else None
+    return (
+        values(triangles["attributes"]["POSITION"], "<f4", 3),
+        values(triangles["indices"], "<u4", 3),
+        values(triangles["attributes"]["COLOR_0"], "<u2", 4),
+        None if lines is None else values(lines, "<u4", 2),
+    )
+
+
+@settings(deadline=None)
+@given(st.floats(0.1, 10.0), st.lists(st.floats(-1e4, 1e4), min_size=3, max_size=3))
+def test_the_world_and_the_scene_are_each_others_inverse(exaggeration, offset):
+    place = Place.of(np.array([[4e5, 5e6, -20.0], [4.3e5, 5.1e6, 3000.0]]))
+    point = place.middle + offset
+    there = place.into_scene(point, exaggeration)
+    assert np.allclose(place.into_world(there, exaggeration), point, rtol=1e-12)
+
+
+def test_the_longer_side_of_a_scene_is_known_and_its_middle_is_zero(terrain):
+    positions, _, _, _ = decoded(terrain.draw(OVERVIEW, Settings()).glb)
+    assert np.allclose([positions.min(axis=0)[0], positions.max(axis=0)[0]], [-SIDE / 2, SIDE / 2])
+    assert np.abs(positions).max() <= SIDE / 2 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        Settings(pixel_error=4.0),
+        Settings("triangle budget", max_triangles=3000),
+        Settings("tolerance", max_error=40.0),
+    ],
+)
+def test_a_picture_is_the_mesh_that_was_asked_for(terrain, chosen):
+    picture = terrain.draw(OVERVIEW, chosen)
+    positions, triangles, colours, edges = decoded(picture.glb)
+    assert (len(positions), len(triangles)) == (picture.n_vertices, picture.n_triangles)
+    assert len(colours) == len(positions)
+    assert edges is None
+    mesh = rtin.TriangleMesh(terrain.place.into_world(positions), triangles.astype(int))
+    assert np.all(mesh.signed_areas() > 0.0)
+    if chosen.mode == "triangle budget":
+        assert 2000 < picture.n_triangles <= 3000
+    else:
+        assert picture.kept == (40.0 if chosen.mode == "tolerance" else 4.0)
+
+
+def test_a_tolerance_holds_for_what_is_drawn(terrain):
+    picture = terrain.draw(OVERVIEW, Settings("tolerance", max_error=25.0))
+    positions, triangles, _, _ = decoded(picture.glb)
+    vertices = terrain.place.into_world(positions)
+    grid = hills()
+    rows_cols = np.rint(grid.places(vertices[:, :2])).astype(int)
+    back = np.column_stack(
+        [rows_cols[:, 1] * 30.0 + 4e5, 5e6 - rows_cols[:, 0] * 30.0, vertices[:, 2]]
+    )
+    mesh = rtin.TriangleMesh(back, triangles.astype(int))
+    assert rtin.vertical_error(mesh, grid).max <= 25.0 + 0.01  # float32 in a scene of 100 units
+
+
+UPWARDS = View((0.0, -60.0, -2.0), (0.0, 0.0, 6.0), field_of_view=15.0, height=600)
+
+
+@pytest.mark.parametrize("view", [OVERVIEW, UPWARDS], ids=["overview", "upwards"])
+@pytest.mark.parametrize("exaggeration", [0.6, 5.0])
+def test_an_exaggerated_error_keeps_the_pixels(terrain, view, exaggeration):
+    """As if the raster had been so high, seen from the same place."""
+    picture = terrain.draw(view, Settings(pixel_error=3.0, exaggeration=exaggeration))
+    positions, triangles, _, _ = decoded(picture.glb)
+    samples = scene_of(hills(), terrain.place, exaggeration)
+    errors = np.abs(heights_on(positions, triangles, samples) - samples[:, 2])
+    seen = inside(view, samples)
+    focal = view.height / (2.0 * np.tan(np.radians(view.field_of_view) / 2.0))
+    off = focal * errors / np.linalg.norm(samples - view.eye, axis=1)
+    seen_and_covered = seen & np.isfinite(errors)
+    assert seen_and_covered.sum() > max(500, 0.98 * seen.sum())
+    assert off[seen_and_covered].max() <= 3.0 * (1 + 1e-3)
+    assert picture.kept == pytest.approx(3.0)
+
+
+def scene_of(grid, place, exaggeration):
+    """All samples, as they lie in the scene."""
+    row, col = np.indices(grid.shape)
+    x, y = 4e5 + 30.0 * col.ravel(), 5e6 - 30.0 * row.ravel()
+    return place.into_scene(np.column_stack([x, y, grid.heights.ravel()]), exaggeration)
+
+
+def heights_on(positions, triangles, samples):
+    from matplotlib.tri import LinearTriInterpolator, Triangulation
+
+    x, y, z = np.float64(positions).T
+    surface = LinearTriInterpolator(Triangulation(x, y, triangles), z)
+    heights = surface(*(samples[:, :2] * (1.0 - 1e-6)).T)
+    return np.ma.filled(heights, np.nan)
+
+
+def inside(view, points):
+    planes = rtin.lod.frustum(
+        view.eye, view.target, field_of_view=view.field_of_view, aspect=view.aspect
+    )
+    return np.all(points @ planes[:, :3].T + planes[:, 3] >= 0.0, axis=1)
+
+
+def test_vertices_glide_between_levels_for_a_camera_only(terrain):
+    def is_moved(chosen):
+        positions, _, _, _ = decoded(terrain.draw(OVERVIEW, chosen).glb)
+        vertices = terrain.place.into_world(positions)
+        grid = hills()
+        row, col = np.rint(grid.places(vertices[:, :2])).astype(int).T
+        return np.abs(vertices[:, 2] - grid.heights[row, col]) > 0.01
+
+    assert 0.02 < is_moved(Settings(pixel_error=3.0)).mean() < 0.9
+    assert not is_moved(Settings("tolerance", max_error=20.0)).any()
+
+
+def test_outside_of_what_is_seen_there_is_little(terrain):
+    near = View((0.0, -10.0, 8.0), (0.0, 10.0, 0.0), field_of_view=30.0, height=600)
+    positions, _, _, _ = decoded(terrain.draw(near, Settings()).glb)
+    south_of_the_eye = positions[:, 1] < -20.0
+    assert south_of_the_eye.mean() < 0.1
+    assert len(positions) > 500
+
+
+def test_a_picture_depends_on_the_camera_only_where_the_mesh_does(terrain):
+    elsewhere = replace(OVERVIEW, eye=(1.0, 2.0, 30.0))
+    for chosen in (Settings(), Settings("triangle budget")):
+        assert terrain.depends_on(OVERVIEW, chosen) != terrain.depends_on(elsewhere, chosen)
+        assert terrain.depends_on(OVERVIEW, chosen) == terrain.depends_on(replace(OVERVIEW), chosen)
+    chosen = Settings("tolerance", max_error=3.0)
+    assert terrain.depends_on(OVERVIEW, chosen) == terrain.depends_on(elsewhere, chosen)
+    assert terrain.depends_on(OVERVIEW, chosen) != terrain.depends_on(
+        OVERVIEW, Settings("tolerance")
+    )
+
+
+@pytest.mark.parametrize(
+    "chosen", [Settings(pixel_error=0.01), Settings("triangle budget", max_triangles=10**6),
+               Settings("tolerance", max_error=0.0)]
+)  # fmt: skip
+def test_a_picture_is_never_more_than_the_page_draws(terrain, chosen, monkeypatch):
+    monkeypatch.setattr(scene, "MOST_TRIANGLES", 5000)
+    picture = terrain.draw(OVERVIEW, chosen)
+    assert 4000 < picture.n_triangles <= 5000
+    assert picture.is_cut_short
+    assert "as many as the page draws" in told(picture, chosen, 0.1)
+
+
+def test_the_wireframe_has_each_edge_once(terrain):
+    picture = terrain.draw(OVERVIEW, Settings("tolerance", max_error=40.0, wireframe=True))
+    positions, triangles, _, edges = decoded(picture.glb)
+    mesh = rtin.TriangleMesh(positions, triangles.astype(int))
+    assert np.array_equal(edges, mesh.edges())
+
+
+def test_a_mesh_is_shown_as_it_is():
+    mesh = rtin.coarsen(hills(), max_error=30.0)
+    shown = Terrain(mesh)
+    picture = shown.draw(OVERVIEW, Settings())
+    positions, triangles, _, _ = decoded(picture.glb)
+    assert not shown.has_levels
+    assert picture.kept is None
+    assert np.array_equal(triangles, mesh.triangles)
+    assert np.allclose(shown.place.into_world(positions), mesh.vertices, atol=0.01)
+    assert shown.depends_on(OVERVIEW, Settings()) == shown.depends_on(
+        replace(OVERVIEW, up=(1, 0, 0)), Settings()
+    )
+
+
+def test_the_colours_are_those_that_a_painter_gives():
+    reds = lambda mesh: np.tile([1.0, 0.5, 0.0], (mesh.n_vertices, 1))  # noqa: E731
+    painted = Terrain(hills((9, 9)), painters={"red": reds})
+    colours = decoded(painted.draw(OVERVIEW, Settings()).glb)[2]
+    half = round(65535 * ((0.5 + 0.055) / 1.055) ** 2.4)
+    assert np.array_equal(np.unique(colours, axis=0), [[65535, half, 0, 65535]])
+
+
+def test_slopes_towards_the_light_are_brighter():
+    _, col = np.indices((9, 9))
+    ridge = rtin.Grid(10.0 * np.minimum(col, 8 - col), (10.0, 0.0, 0.0, 0.0, -10.0, 0.0))
+    positions, _, colours, _ = decoded(Terrain(ridge).draw(OVERVIEW, Settings()).glb)
+    west, east = positions[:, 0] < -1.0, positions[:, 0] > 1.0
+    assert colours[west, :3].mean() > 1.2 * colours[east, :3].mean()
+
+
+# --- the newest view ------------------------------------------------------------------------------
+
+
+def test_of_many_views_only_the_newest_is_drawn_next():
+    async def watch():
+        wanted, drawn = [0], []
+
+        async def draw():
+            drawn.append(wanted[-1])
+            await asyncio.sleep(0.02)
+
+        newest = pages.Newest(draw, lambda error: None)
+        for number in range(100):
+            wanted.append(number)
+            newest.ask()
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.1)
+        newest.end()
+        return drawn
+
+    drawn = asyncio.run(watch())
+    assert drawn[-1] == 99
+    assert 2 < len(drawn) < 50
+    assert drawn == sorted(set(drawn))
+
+
+def test_a_picture_that_fails_is_told_and_the_next_one_is_drawn(caplog):
+    async def watch():
+        told, drawn = [], []
+
+        async def draw():
+            drawn.append(1)
+            if len(drawn) == 1:
+                raise ValueError("no triangle")
+
+        newest = pages.Newest(draw, told.append)
+        for _ in range(2):
+            newest.ask()
+            await asyncio.sleep(0.01)
+        newest.end()
+        return told, drawn
+
+    told, drawn = asyncio.run(watch())
+    assert [str(error) for error in told] == ["no triangle"]
+    assert len(drawn) == 2
+
+
+# --- the server -----------------------------------------------------------------------------------
+
+
+def test_a_taken_port_is_told(terrain):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"port {port} of 127.0.0.1: another program uses it"):
+            pages.Page(terrain, port=port)
+    with pytest.raises(ValueError, match="port must be 0 to 65535, got 70000"):
+        pages.Page(terrain, port=70000)
+
+
+def test_a_page_prints_nothing_and_leaves_no_thread(terrain, capfd):
+    before = set(threading.enumerate())
+    with pages.Page(terrain, port=0) as page:
+        assert page.address.startswith("http://127.0.0.1:")
+    until(lambda: set(threading.enumerate()) <= before)
+    assert capfd.readouterr() == ("", "")
+
+
+def until(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it never came to be"
+        time.sleep(0.02)
+
+
+# --- in a browser ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("needs Debian's chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(terrain):
+    with pages.Page(terrain, port=0, title="Hills") as page:
+        yield page
+
+
+class Tab:
+    """A tab that looks at a page, and the server's visitor for it."""
+
+    def __init__(self, browser, page):
+        self.complaints, self.asked = [], []
+        self.home = page.address
+        known = set(page.visitors)
+        self.tab = browser.new_page(viewport={"width": 640, "height": 400})
+        self.tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.tab.on("console", self._hear)
+        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.on("websocket", lambda channel: self.asked.append(channel.url))
+        self.tab.goto(page.address)
+        self.until(lambda: set(page.visitors) - known)
+        (self.number,) = set(page.visitors) - known
+        self.visitor = page.visitors[self.number]
+        self.until(lambda: self.visitor.picture is not None)
+        self.tab.wait_for_selector("text=triangles")
+
+    def _hear(self, message):
+        if message.type == "error":
+            self.complaints.append(message.text)
+
+    def until(self, condition):
+        """Wait; Playwright must be let do its own work meanwhile."""
+        end = time.monotonic() + 60.0
+        while not condition():
+            assert time.monotonic() < end, f"it never came to be; {self.complaints}"
+            self.tab.wait_for_timeout(50)
+
+    @property
+    def n_triangles(self):
+        """As the page tells."""
+        text = self.tab.locator("strong", has_text="triangles").inner_text()
+        return int(text.removesuffix(" triangles").replace(" ", ""))
+
+    def settled(self):
+        """Return the number of triangles once it does not change any more."""
+        seen = [-2, -1]
+        while seen[-1] != seen[-2]:
+            self.tab.wait_for_timeout(400)
+            seen.append(self.n_triangles)
+        return seen[-1]
+
+    def choose(self, label, option):
+        self.tab.get_by_label(label, exact=True).first.click()
+        self.tab.get_by_role("option", name=option).click()
+
+    def push(self, key, times=1):
+        """Push a key on the slider of the level of detail: the first that is to be seen."""
+        slider = self.tab.get_by_role("slider").locator("visible=true").first
+        slider.focus()
+        for _ in range(times):
+            slider.press(key)
+
+    def drag(self, right, down):
+        """Turn the camera, at the lower left where nothing else is."""
+        mouse = self.tab.mouse
+        mouse.move(150, 300)
+        mouse.down()
+        mouse.move(150 + right, 300 + down, steps=5)
+        mouse.up()
+
+    def assert_clean(self):
+        assert self.complaints == []
+        ours = (self.home, self.home.replace("http", "ws"), "data:", f"blob:{self.home}")
+        assert [url for url in self.asked if not (url + "/").startswith(ours)] == []
+
+
+@pytest.fixture
+def tab(browser, page):
+    tab = Tab(browser, page)
+    yield tab
+    tab.tab.close()
+
+
+def shown(tab):
+    """The lower left of what the tab shows, where the terrain is."""
+    tab.settled()
+    tab.tab.wait_for_timeout(500)
+    return pixels(tab.tab)[200:, :300]
+
+
+def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
+    picture = shown(tab)
+    assert tab.n_triangles == tab.visitor.picture.n_triangles
+    for node in tab.visitor._nodes:
+        node.visible = False
+    tab.tab.wait_for_timeout(500)
+    bare = shown(tab)
+    tab.assert_clean()
+    assert terrain_share(picture) > 0.2
+    assert terrain_share(bare) < 0.01
+
+
+def test_the_slider_of_the_pixel_error_changes_the_triangles(tab):
+    before = tab.settled()
+    tab.push("ArrowRight", 8)  # from 1 to 3 pixels
+    after = tab.settled()
+    tab.assert_clean()
+    assert tab.visitor.panel.settings.pixel_error == 3.0
+    assert after < before / 2
+
+
+def test_the_slider_of_the_tolerance_changes_the_triangles(tab):
+    tab.choose("By", "tolerance")
+    tab.until(lambda: tab.visitor.panel.settings.mode == "tolerance")
+    before = tab.settled()
+    tab.push("End")
+    after = tab.settled()
+    tab.assert_clean()
+    assert after < before / 10
+    grid = hills()
+    assert tab.visitor.panel.settings.max_error == pytest.approx(0.1 * np.ptp(grid.heights))
+    assert "in height" in tab.tab.inner_text("body")
+
+
+def test_the_camera_changes_the_mesh(tab):
+    before, glb = tab.settled(), tab.visitor.picture.glb
+    tab.tab.mouse.move(150, 300)
+    for _ in range(8):
+        tab.tab.mouse.wheel(0, -400)
+        tab.tab.wait_for_timeout(50)
+    assert tab.settled() != before
+    near = tab.visitor.picture.glb
+    tab.drag(80, 30)
+    tab.settled()
+    tab.assert_clean()
+    assert len({glb, near, tab.visitor.picture.glb}) == 3
+
+
+def test_a_tolerance_is_not_drawn_again_for_another_camera(tab):
+    tab.choose("By", "tolerance")
+    tab.until(lambda: tab.visitor.panel.settings.mode == "tolerance")
+    tab.settled()
+    picture = tab.visitor.picture
+    tab.drag(80, 30)
+    tab.settled()
+    assert tab.visitor.picture is picture
+
+
+def test_the_wireframe_is_seen(tab):
+    plain = shown(tab)
+    tab.tab.get_by_label("Wireframe").click()
+    tab.until(lambda: tab.visitor.panel.settings.wireframe)
+    edges = shown(tab)
+    tab.assert_clean()
+    assert np.mean(np.abs(plain - edges).max(axis=2) > 20) > 0.1
+
+
+def test_a_flight_moves_the_camera_until_it_is_ended(tab):
+    flies = tab.tab.get_by_label("Fly round")
+    flies.click()
+    first = tab.visitor.client.camera.position.copy()
+    tab.until(lambda: np.linalg.norm(tab.visitor.client.camera.position - first) > 0.1 * SIDE)
+    flies.click()
+    tab.until(lambda: tab.visitor._flight is None)
+    tab.settled()
+    there = tab.visitor.client.camera.position.copy()
+    tab.tab.wait_for_timeout(300)
+    tab.assert_clean()
+    assert np.array_equal(tab.visitor.client.camera.position, there)
+
+
+def test_two_tabs_are_independent(browser, page, tab):
+    other = Tab(browser, page)
+    before = tab.settled()
+    assert other.settled() == before
+    other.push("ArrowRight", 8)
+    assert other.settled() < before / 2
+    assert tab.settled() == before
+    assert len(page.visitors) == 2
+    other.tab.close()
+    tab.until(lambda: list(page.visitors) == [tab.number])
+    tab.push("ArrowRight", 4)
+    assert tab.settled() < before
+    tab.assert_clean()
+    other.assert_clean()
+
+
+def test_a_tab_that_is_closed_leaves_nothing_behind(browser, page, caplog):
+    tab = Tab(browser, page)
+    tab.tab.get_by_label("Fly round").click()
+    tab.until(lambda: tab.visitor._flight is not None)
+    left = [weakref.ref(tab.visitor), weakref.ref(tab.visitor.client)]
+    left += [weakref.ref(tab.visitor._newest._task), weakref.ref(tab.visitor._flight)]
+    tab.tab.close()
+    tab.visitor = None
+    until(lambda: not page.visitors)
+
+    def is_gone():
+        gc.collect()
+        return all(ref() is None for ref in left)
+
+    until(is_gone)
+    assert caplog.messages == []  # asyncio tells of tasks that nobody has ended
+
+
+def test_another_terrain_takes_the_place_of_the_first(browser):
+    coarse = Terrain(hills((17, 25), step=240.0))
+    with pages.Page(coarse, port=0) as page:
+        tab = Tab(browser, page)
+        before = tab.settled()
+        page.replace(Terrain(hills(), place=coarse.place))
+        after = tab.settled()
+        tab.tab.close()
+    page.replace(coarse)  # nobody is there any more
+    tab.assert_clean()
+    assert after > 10 * before
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_the_command_shows_a_raster_until_ctrl_c(tmp_path, browser):
+    np.save(tmp_path / "hills.npy", hills().heights)
+    options = ("--port", 0, "--no-browser", "--max-triangles", 2000)
+    with started("-m", "rtin", "view", tmp_path / "hills.npy", *options) as (process, port):
+        for nonsense in (b"nonsense\r\n\r\n", b"GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n", b""):
+            with socket.create_connection(("127.0.0.1", port)) as client:
+                client.sendall(nonsense)
+                client.shutdown(socket.SHUT_WR)
+                client.settimeout(10.0)
+                client.recv(1000)
+        tab = browser.new_page()
+        tab.goto(f"http://127.0.0.1:{port}/")
+        tab.wait_for_selector("text=triangles")
+        status, complaints = interrupted(process)
+        tab.close()
+    assert status == 0
+    assert "Traceback" not in complaints
+    assert [word for word in ("viser", "handshake", "rror") if word in complaints] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["missing.tif"], "missing.tif"), (["missing.ply"], "missing.ply"),
+        (["text.tif"], "text.tif"), (["hills.npy", "--port", "70000"], "port"),
+        (["hills.npy", "--max-error", "-1"], "--max-error must be zero or more, got -1"),
+        (["hills.npy", "--pixel-error", "0"], "--pixel-error must be more than zero, got 0"),
+        (["hills.npy", "--max-error", "1", "--max-triangles", "9"], "not both"),
+    ],
+)  # fmt: skip
+def test_the_command_tells_in_a_line_what_it_cannot_show(tmp_path, arguments, reason):
+    np.save(tmp_path / "hills.npy", hills((5, 6)).heights)
+    (tmp_path / "text.tif").write_text("no raster")
+    done = subprocess.run(
+        [sys.executable, "-m", "rtin", "view", *arguments, "--no-browser"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_command_tells_that_viser_is_missing(tmp_path):
+    np.save(tmp_path / "hills.npy", hills((5, 6)).heights)
+    program = "import sys; sys.modules['viser'] = None; from rtin.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "view", tmp_path / "hills.npy", "--no-browser"],
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "pip install 'rtin[view]'" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def write_photo(path):
+    """A picture without a place: its west half is red, its east half blue."""
+    picture = np.zeros((20, 40, 3), np.uint8)
+    picture[:, :20, 0] = picture[:, 20:, 2] = 255
+    Image.fromarray(picture).save(path)
+
+
+def test_what_is_opened_has_its_colours(tmp_path):
+    write_photo(tmp_path / "photo.png")
+    np.save(tmp_path / "hills.npy", hills().heights)
+    with Opening(tmp_path / "hills.npy") as opening:
+        opened = opening.first()
+    painters = scene.painters_of(opened, tmp_path / "photo.png")
+    assert list(painters) == ["orthophoto", "hillshade", "height", "error"]
+    shown = Terrain(opened.surface, painters=painters)
+    colours = {}
+    for name in painters:
+        glb = shown.draw(OVERVIEW, Settings(colours=name)).glb
+        positions, _, colours[name], _ = decoded(glb)
+    assert len({values.tobytes() for values in colours.values()}) == 4
+    west = positions[:, 0] < -5.0
+    assert np.array_equal(np.unique(colours["orthophoto"][west], axis=0), [[65535, 0, 0, 65535]])
+
+
+def test_a_mesh_that_is_opened_has_its_colours(tmp_path):
+    rtin.write_mesh(rtin.coarsen(hills(), max_error=30.0), tmp_path / "hills.ply")
+    with Opening(tmp_path / "hills.ply") as opening:
+        painters = scene.painters_of(opening.first())
+    assert list(painters) == ["hillshade", "height"]
