@@ -92,7 +92,7 @@ def test_a_glb_with_a_picture_shows_it_where_the_vertices_are():
     x, y, _ = mesh.vertices.T
     away = (np.abs(x - (west + east) / 2) > 20) & (np.abs(y - (south + north) / 2) > 20)
     away &= (x > west) & (x < east) & (y > south) & (y < north)  # where trimesh begins again
-    expected = np.rint(255 * drape.colours(mesh))
+    expected = np.rint(255 * drape(mesh))
     assert away.sum() >= 20
     assert np.abs(seen - expected)[away].max() < 40
 

@@ -230,6 +230,18 @@ def test_where_many_blocks_would_be_decoded_few_samples_are_read(tmp_path, monke
     assert 512 * len(blocks) <= 10_000
 
 
+def test_a_first_grid_that_is_coarse_for_want_of_time_is_followed_by_a_usual_one(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(opening, "_FIRST_SAMPLES", 1000)
+    monkeypatch.setattr(opening, "_MOST_DECODED", 10_000)
+    path = write_raster(tmp_path / "a.tif", terrain(), transform=PLACE, **LAYOUTS["tiles"])
+    sizes = [stage.surface.heights.size for stage in stages(path)]
+    assert len(sizes) == 3
+    assert sizes[0] < 50
+    assert 500 < sizes[1] <= 1000
+
+
 def test_a_limit_of_memory_is_kept_and_said(tmp_path):
     path = write_raster(tmp_path / "a.tif", terrain(), transform=PLACE)
     (only,) = stages(path, memory_limit=14 * 10_000)
@@ -272,6 +284,27 @@ def test_a_mesh_in_degrees_comes_in_metres(tmp_path):
     back = only.surface.vertices * [a, e, 1.0] + [c, f, 0.0]
     np.testing.assert_allclose(back, mesh.vertices, atol=1e-9)
     assert only.surface.crs is None
+
+
+@pytest.mark.parametrize("memory_limit", [None, 14 * 10_000])
+def test_the_finest_stage_can_be_had_at_once(tmp_path, coarse, memory_limit):
+    path = write_raster(tmp_path / "a.tif", terrain(), transform=PLACE)
+    last = stages(path, memory_limit=memory_limit)[-1]
+    with Opening(path, memory_limit=memory_limit) as opens:
+        only = opens.finest()
+        opens.go_on(pytest.fail, pytest.fail)
+    assert only.is_final
+    np.testing.assert_array_equal(only.surface.heights, last.surface.heights)
+    assert only.note == last.note
+
+
+def test_points_of_the_file_come_to_the_surface(tmp_path):
+    place = Affine(0.001, 0.0, 8.0, 0.0, -0.001, 47.0)
+    path = write_raster(tmp_path / "a.tif", terrain(), transform=place, crs="EPSG:4326")
+    (only,) = stages(path)
+    x, y, z = only.from_crs((8.0105, 46.9695, 77.0))
+    assert z == 77.0
+    np.testing.assert_allclose((x, y), places(only.surface)[30, 10], atol=1e-6)
 
 
 # The end

@@ -228,7 +228,8 @@ class _Raster:
             yield reading, False
             if most == final.n_samples:
                 break
-            most = min(_FINER * most, final.n_samples)
+            if _FINER * reading.n_samples >= most:  # else it is coarse for want of time
+                most = min(_FINER * most, final.n_samples)
             reading = self.levels.within(most)
         yield final, True
 
