@@ -131,4 +131,3 @@ def _from_above(mesh: TriangleMesh) -> Grid:
     steps = (width / (shape[1] - 1), -height / (shape[0] - 1))
     lattice = Grid(np.zeros(shape, np.float32), (steps[0], 0.0, x, 0.0, steps[1], top))
     return Grid(vertical_error(mesh, lattice).field, lattice.transform)
-
