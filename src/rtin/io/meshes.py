@@ -20,6 +20,7 @@ from rtin.mesh import TriangleMesh, require_mesh
 __all__ = [
     "Placement",
     "is_mesh_path",
+    "page_of",
     "placement_of",
     "read_mesh",
     "require_writable",
@@ -123,10 +124,17 @@ def write_mesh(
     _check(mesh)
     suffix = _known_suffix(path, ENCODERS)
     placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
-    with np.errstate(over="ignore"):
-        shape = place(mesh, placed, base)
-    require_range(shape.vertices, suffix)
-    write_bytes(path, ENCODERS[suffix](shape))
+    write_bytes(path, ENCODERS[suffix](_shape(mesh, placed, base, suffix)))
+
+
+def page_of(mesh: TriangleMesh, *, z_scale: float = 1.0, note: str = "") -> bytes:
+    """Return the page that ``write_mesh`` writes to .html, with a note after its counts.
+
+    Raises ValueError and TypeError as ``write_mesh`` does.
+    """
+    _check(mesh)
+    placed = placement_of(mesh, "a.html", z_scale=z_scale)
+    return html.page(_shape(mesh, placed, None, ".html"), note)
 
 
 def placement_of(
@@ -262,6 +270,13 @@ def _known_suffix(path: str | os.PathLike[str], known: dict[str, Any]) -> str:
             f"in {os.fspath(path)}"
         )
     return suffix
+
+
+def _shape(mesh: TriangleMesh, placed: Placement, base: float | None, suffix: str) -> PlacedMesh:
+    with np.errstate(over="ignore"):
+        shape = place(mesh, placed, base)
+    require_range(shape.vertices, suffix)
+    return shape
 
 
 def _check(mesh: TriangleMesh) -> None:
