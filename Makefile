@@ -27,6 +27,7 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/workers.py
 	$(BIN)/python benchmarks/memory.py $(RASTERS)
 	$(BIN)/python benchmarks/command_line.py
+	$(BIN)/python benchmarks/opening.py $(RASTERS)
 	$(BIN)/python benchmarks/promise.py $(RASTERS)
 
 build: $(VENV)/installed-dev

@@ -161,6 +161,11 @@ class Grid:
         heights[inside] = total
         return heights
 
+    def _repr_html_(self) -> str:
+        from rtin.viewer import notebook
+
+        return notebook.as_html(self)
+
     def __repr__(self) -> str:
         rows, cols = self.shape
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]

@@ -389,7 +389,8 @@ class LevelOfDetail:
         """Return a walk and the tolerance above which its vertices are kept."""
         if name == "max_triangles":
             return self._within_budget(view, int(value))
-        return self._walk(view, value, MOST), value
+        tolerance = min(value, _FINITE)  # what outlines need weighs more than any
+        return self._walk(view, tolerance, MOST), tolerance
 
     def _within_budget(self, view: _View, budget: int) -> tuple[_Walk, float]:
         """Return a walk, and the smallest tolerance at which it makes no more triangles.

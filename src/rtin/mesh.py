@@ -119,6 +119,17 @@ class TriangleMesh:
         areas = 0.5 * (along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])
         return np.asarray(areas, dtype=np.float64)
 
+    def show(self, *, height: int = 480) -> Any:  # noqa: ANN401  (IPython's)
+        """Show the mesh to turn and zoom: in a notebook, or in the browser; see ``rtin.show``."""
+        from rtin.viewer import notebook
+
+        return notebook.show(self, height=height)
+
+    def _repr_html_(self) -> str:
+        from rtin.viewer import notebook
+
+        return notebook.as_html(self)
+
     def __repr__(self) -> str:
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]
         return f"<TriangleMesh {self.n_vertices} vertices, {self.n_triangles} triangles, {crs}>"
