@@ -121,7 +121,7 @@ class TriangleMesh:
         return np.asarray(areas, dtype=np.float64)
 
     def show(self, *, exaggeration: float = 1.0, max_triangles: int | None = None) -> None:
-        """Show the mesh in 3-D: below the cell of a notebook, or in the browser; see ``rtin.show``."""
+        """Show the mesh in 3-D, in a notebook or in the browser; see ``rtin.show``."""
         from rtin.viewer import notebook
 
         notebook.show(self, exaggeration=exaggeration, max_triangles=max_triangles)

@@ -23,6 +23,7 @@ __all__ = [
     "page_of",
     "placement_of",
     "read_mesh",
+    "require_shape",
     "require_writable",
     "write_mesh",
 ]
@@ -121,7 +122,7 @@ def write_mesh(
     OSError
         If the file cannot be written. What was there before is still there.
     """
-    _check(mesh)
+    require_shape(mesh)
     suffix = _known_suffix(path, ENCODERS)
     placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
     write_bytes(path, ENCODERS[suffix](_shape(mesh, placed, base, suffix)))
@@ -132,7 +133,7 @@ def page_of(mesh: TriangleMesh, *, z_scale: float = 1.0, note: str = "") -> byte
 
     Raises ValueError and TypeError as ``write_mesh`` does.
     """
-    _check(mesh)
+    require_shape(mesh)
     placed = placement_of(mesh, "a.html", z_scale=z_scale)
     return html.page(_shape(mesh, placed, None, ".html"), note)
 
@@ -279,7 +280,8 @@ def _shape(mesh: TriangleMesh, placed: Placement, base: float | None, suffix: st
     return shape
 
 
-def _check(mesh: TriangleMesh) -> None:
+def require_shape(mesh: TriangleMesh) -> None:
+    """Raise TypeError or ValueError where a mesh has nothing that could be written."""
     if require_mesh(mesh).n_triangles == 0:
         raise ValueError("a mesh with triangles is wanted, got one without any")
     if not np.isfinite(mesh.vertices).all():

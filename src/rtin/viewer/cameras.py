@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from rtin._options import as_count
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
-from rtin.viewer.scene import SIDE, Place, View, bounds_of
+from rtin.viewer._from_above import sampled
+from rtin.viewer.scene import SIDE, Place, View
 
 __all__ = ["flight", "orbit", "overlook", "seen_from"]
 
@@ -22,6 +23,7 @@ _Floats = NDArray[np.float64]
 _LOOP = 0.34 * SIDE  # half the width of the figure of eight of a flight
 _CLEARANCE = 0.035 * SIDE
 _AHEAD = 0.06  # of a flight: where it looks
+_SAMPLES_OF_A_MESH = 1 << 20
 _SMOOTHED = 0.02  # of a flight: over how much of it climbs and descents are spread
 
 
@@ -54,8 +56,8 @@ def flight(
 ) -> list[View]:
     """Return n views of a flight over a terrain: a figure of eight that follows the ground.
 
-    The path is closed, and never lower than ``0.035 * SIDE`` above the ground below it; above the
-    highest point of a mesh, which has no ground to follow. Raises TypeError or ValueError where n
+    The path is closed, and ``0.035 * SIDE`` or more above the ground along it, but for a spike
+    between two of the 2000 places where that is looked at. Raises TypeError or ValueError where n
     is no whole number from 1 on.
     """
     turns = np.arange(_as_number_of_views(n)) / n
@@ -78,12 +80,11 @@ def _ground(
     surface: Grid | TriangleMesh, place: Place, points: _Floats, exaggeration: float
 ) -> _Floats:
     """Return how high the terrain is drawn below points; the lowest there is where it has none."""
-    lowest, highest = bounds_of(surface)[:, 2].tolist()
+    if isinstance(surface, TriangleMesh):
+        surface = sampled(surface, _SAMPLES_OF_A_MESH)
     world = place.into_world(np.column_stack([points, np.zeros(len(points))]))
-    world[:, 2] = highest
-    if isinstance(surface, Grid):
-        heights = surface.heights_at(world[:, :2])
-        world[:, 2] = np.where(np.isnan(heights), lowest, heights)
+    heights = surface.heights_at(world[:, :2])
+    world[:, 2] = np.where(np.isnan(heights), np.nanmin(surface.heights), heights)
     return place.into_scene(world, exaggeration)[:, 2]
 
 

@@ -18,21 +18,20 @@ from typing import Any
 
 import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
 
 from rtin import _tint
 from rtin._options import as_count
 from rtin._raster import widened
 from rtin.coarsening import coarsen
-from rtin.criteria import surface_at_samples
-from rtin.grid import Grid, Metres
-from rtin.io.meshes import page_of
+from rtin.grid import Grid
+from rtin.io._numbers import as_positive
+from rtin.io.meshes import page_of, require_shape
 from rtin.mesh import TriangleMesh
+from rtin.viewer._from_above import heights_on, lattice_over
 from rtin.viewer.scene import bounds_of
 
 __all__ = ["as_html", "show"]
 
-_Floats = NDArray[np.float64]
 _Surface = Grid | TriangleMesh
 
 _IN_A_CELL, _IN_A_PAGE = 50_000, 500_000  # triangles: 2.5 and 20 MB
@@ -75,6 +74,9 @@ def show(
     """
     if not isinstance(surface, Grid | TriangleMesh):
         raise TypeError(f"a Grid or a TriangleMesh is wanted, got {type(surface).__name__}")
+    if isinstance(surface, TriangleMesh):
+        require_shape(surface)
+    exaggeration = as_positive("exaggeration", exaggeration)
     is_cell = _is_in_notebook()
     if max_triangles is None:
         max_triangles = _IN_A_CELL if is_cell else _IN_A_PAGE
@@ -146,8 +148,8 @@ def _small_picture(surface: _Surface) -> bytes:
     """Return a WebP of a terrain from above, north up; transparent where there is none."""
     from PIL import Image
 
-    transform, shape, in_metres = _lattice(surface, _LONGEST**2)
-    heights = _heights(surface, transform, shape)
+    transform, shape, in_metres = lattice_over(surface, _LONGEST**2)
+    heights = heights_on(surface, transform, shape)
     slopes = (slope.ravel() for slope in _tint.slopes(heights, in_metres))
     colours = _tint.relief(heights.ravel(), *slopes).reshape(*shape, 4)
     image = Image.fromarray(np.rint(255.0 * colours).astype(np.uint8), "RGBA")
@@ -169,33 +171,6 @@ def _net(mesh: TriangleMesh, transform: Affine, shape: tuple[int, int]) -> Any: 
     for line in places[mesh.edges()]:
         pen.line([tuple(point) for point in line.tolist()], fill=_INK)
     return image
-
-
-def _lattice(surface: _Surface, n_samples: int) -> tuple[Affine, tuple[int, int], Affine]:
-    """Return where samples over the bounds of a terrain lie, their rows and columns, and metres.
-
-    They are north up, and about as far apart in x as in y on the ground; the last transform
-    is the first one in metres.
-    """
-    (west, south, _), (east, north, _) = bounds_of(surface).tolist()
-    metres = Metres(0.0, 0.0, 1.0, 1.0)
-    if surface.crs is not None and surface.crs.is_geographic:
-        metres = Metres.around(surface.crs, (west + east) / 2, (south + north) / 2)
-    width, height = (east - west) * metres.east, (north - south) * metres.north
-    spacing = max(np.sqrt(width * height / n_samples), max(width, height) / (n_samples // 2))
-    rows, cols = (max(2, round(length / spacing)) for length in (height, width))
-    across, down = (east - west) / (cols - 1), (south - north) / (rows - 1)
-    transform = Affine(across, 0.0, west, 0.0, down, north)
-    return transform, (rows, cols), metres.of(transform)
-
-
-def _heights(surface: _Surface, transform: Affine, shape: tuple[int, int]) -> _Floats:
-    """Return the heights of a terrain on a lattice, NaN where it has none."""
-    if isinstance(surface, TriangleMesh):
-        return surface_at_samples(surface, transform, shape)
-    a, _, x, _, e, y = tuple(transform)[:6]
-    row, col = np.indices(shape).reshape(2, -1)
-    return surface.heights_at(np.column_stack([x + a * col, y + e * row])).reshape(shape)
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -229,11 +204,6 @@ def _thinned(grid: Grid, limit: int) -> Grid:
     if step <= 1 or min(grid.shape) <= step:
         return grid
     return Grid(grid.heights[::step, ::step], widened(grid.transform, step), grid.crs)
-
-
-def _sampled(mesh: TriangleMesh, limit: int) -> Grid:
-    transform, shape, _ = _lattice(mesh, _SAMPLES_EACH * limit)
-    return Grid(surface_at_samples(mesh, transform, shape), transform, mesh.crs)
 
 
 def _is_in_notebook() -> bool:
