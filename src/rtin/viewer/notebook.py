@@ -181,9 +181,8 @@ def _simple(surface: _Surface, limit: int) -> tuple[TriangleMesh, str]:
     if isinstance(surface, TriangleMesh):
         if surface.n_triangles <= limit:
             return surface, ""
-        return _coarsened(
-            _sampled(surface, limit), limit
-        ), f", of {surface.n_triangles:,} triangles"
+        mesh = _coarsened(sampled(surface, _SAMPLES_EACH * limit), limit)
+        return mesh, f", of {surface.n_triangles:,} triangles"
     mesh = _coarsened(_thinned(surface, limit), limit)
     return mesh, f", of {surface.n_samples:,} samples"
 
