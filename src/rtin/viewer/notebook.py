@@ -27,7 +27,6 @@ from rtin.grid import Grid
 from rtin.io._numbers import as_positive
 from rtin.io.meshes import page_of, require_shape
 from rtin.mesh import TriangleMesh
-from rtin.viewer._from_above import heights_on, lattice_over
 from rtin.viewer._from_above import heights_on, lattice_over, sampled
 from rtin.viewer.scene import bounds_of
 
