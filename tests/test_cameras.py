@@ -1,5 +1,7 @@
 """Where terrain is looked at from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 import rtin
 from rtin.viewer import cameras
 from rtin.viewer.pictures import as_terrain
-from rtin.viewer.scene import SIDE, Place, bounds_of
+from rtin.viewer.scene import SIDE, Place, Terrain, bounds_of
 
 
 def rough(shape=(40, 65), seed=3, step=25.0):
@@ -37,18 +39,27 @@ def on_screen(view, points):
     return np.column_stack([x / (half * view.aspect), y / half]) / depth[:, np.newaxis]
 
 
-@pytest.mark.parametrize("shape", [(40, 65), (65, 65), (65, 12)])
-def test_a_first_view_sees_the_whole_terrain(shape):
-    grid = rough(shape)
-    bounds = bounds_of(grid)
-    corners = np.array(np.meshgrid(*bounds.T)).reshape(3, -1).T
-    seen = on_screen(cameras.overlook(), Place.of(bounds).into_scene(corners))
-    assert (np.abs(seen) < 1.0).all()
-    assert np.ptp(seen, axis=0).max() > 0.8  # and it is no dot in the distance
+def corners_of(terrain, exaggeration):
+    corners = np.array(np.meshgrid(*terrain.bounds.T)).reshape(3, -1).T
+    return terrain.place.into_scene(corners, exaggeration)
 
 
-def test_an_orbit_begins_where_the_first_view_is():
-    assert np.allclose(cameras.orbit(7)[0].eye, cameras.overlook().eye)
+@pytest.mark.parametrize("exaggeration", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("aspect", [0.5, 16 / 9])
+@pytest.mark.parametrize("shape", [(40, 65), (65, 65), (65, 6), (6, 65)])
+def test_a_first_view_is_filled_by_the_whole_terrain(shape, aspect, exaggeration):
+    terrain = Terrain(rough(shape))
+    view = replace(cameras.overlook(terrain, exaggeration, aspect), aspect=aspect)
+    seen = on_screen(view, corners_of(terrain, exaggeration))
+    assert np.abs(seen).max() == pytest.approx(0.9)
+    assert seen[:, 1].max() == pytest.approx(-seen[:, 1].min())
+
+
+@pytest.mark.parametrize("shape", [(40, 65), (65, 6)])
+def test_all_of_an_orbit_sees_the_whole_terrain(shape):
+    terrain = Terrain(rough(shape))
+    for view in cameras.orbit(9, terrain, 2.0):
+        assert np.abs(on_screen(view, corners_of(terrain, 2.0))).max() < 0.95
 
 
 @given(st.integers(1, 40))

@@ -71,7 +71,9 @@ def picture(
         If the source or size is a wrong one.
     """
     with _Stage(size) as stage:
-        return stage.draw(as_terrain(source), view or overlook(), settings or Settings())
+        terrain, settings = as_terrain(source), settings or Settings()
+        first = overlook(terrain, settings.exaggeration, size[0] / size[1])
+        return stage.draw(terrain, view or first, settings)
 
 
 def snapshot(
