@@ -28,7 +28,7 @@ from rtin.mesh import TriangleMesh
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = ["Opened", "Opening"]
+__all__ = ["Opened", "Opening", "mesh_in_metres"]
 
 _FIRST_SAMPLES = 1_100_000  # a hierarchy over them takes a third of a second, on two cores
 _MOST_DECODED = 150_000_000  # samples, to read those: one to three seconds
@@ -277,14 +277,19 @@ def _has_a_triangle(heights: NDArray[np.floating[Any]]) -> bool:
     return bool((pairs[:, :-1] + pairs[:, 1:] >= 3).any())
 
 
+def mesh_in_metres(mesh: TriangleMesh) -> tuple[TriangleMesh, Affine]:
+    """Return a mesh as ``Grid.in_metres`` has grids, and what maps its x and y back."""
+    if mesh.crs is None or not mesh.crs.is_geographic:
+        return mesh, _IDENTITY
+    metres = Metres.around(mesh.crs, *mesh.bounds[:, :2].mean(axis=0).tolist())
+    shift, scale = (metres.x, metres.y, 0.0), (metres.east, metres.north, 1.0)
+    vertices = (mesh.vertices - shift) * scale
+    return TriangleMesh(vertices, mesh.triangles, tags=mesh.tags), metres.undone()
+
+
 def _opened_mesh(path: str | os.PathLike[str]) -> Opened:
-    mesh = read_mesh(path)
-    bounds, to_crs, crs = mesh.bounds[:, :2], _IDENTITY, mesh.crs
-    if crs is not None and crs.is_geographic:
-        metres = Metres.around(crs, *bounds.mean(axis=0).tolist())
-        shift, scale = (metres.x, metres.y, 0.0), (metres.east, metres.north, 1.0)
-        vertices = (mesh.vertices - shift) * scale
-        mesh = TriangleMesh(vertices, mesh.triangles, tags=mesh.tags)
-        bounds, to_crs = mesh.bounds[:, :2], metres.undone()
+    read = read_mesh(path)
+    mesh, to_crs = mesh_in_metres(read)
+    bounds = mesh.bounds[:, :2]
     note = f"{mesh.n_triangles:,} triangles"
-    return Opened(mesh, bounds, crs, to_crs, 1.0, True, note)
+    return Opened(mesh, bounds, read.crs, to_crs, 1.0, True, note)
