@@ -384,21 +384,22 @@ def own_error(vertex, exact, size):
 def saturated(heights, growth):
     """{vertex: (error, whether mixed, reach, heights)}, of it and all its descendants.
 
-    An error is at least ``growth`` times those of the children. A vertex of the finest level stands
-    for itself alone, others for the samples of their triangles as well: ``reach`` is how far these
-    are, in rows or columns, and ``heights`` their lowest and highest one, () where there is none.
+    An error is at least ``growth`` times those of the children. Where no triangle is mixed, one of
+    the finest level stands for itself alone, others for the samples of their triangles as well:
+    ``reach`` is how far these are, in rows or columns, ``heights`` their lowest and highest one.
     """
     size, exact = lattice_size(heights.shape), exact_heights(heights)
     found = {}
     for vertex, below in children(size).items():
         triangles = bisections(size)[vertex]
         parts = [found[child] for child in below]
-        samples = {vertex}.union(*(weights(t) for t in triangles if below))
+        mixed = any(is_mixed(t, exact) for t in triangles) or any(part[1] for part in parts)
+        samples = {vertex}.union(*(weights(t) for t in triangles if below or mixed))
         z = [exact[place] for place in samples if place in exact]
         z += [height for _, _, _, range_ in parts for height in range_]
         found[vertex] = (
             max([own_error(vertex, exact, size), *(growth * part[0] for part in parts)]),
-            any(is_mixed(t, exact) for t in triangles) or any(part[1] for part in parts),
+            mixed,
             max((far(vertex, c) + found[c][2] for c in below), default=0),
             (min(z), max(z)) if z else (),
         )
@@ -430,16 +431,13 @@ def weights_by_pixels(grid, growth, eye, scale, planes, slack=0.0):
         length = max(float(error), hypotenuse_on_the_ground(vertex, size, grid) if mixed else 0.0)
         weight = 0.0
         if length > 0.0:
-            weight = float("inf")
-            if range_:
-                low, high = (float(z) for z in range_)
-                margin = slack * max(abs(low), abs(high), 1.0)
-                box = (vertex, reach + slack, low - margin, high + margin)
-                near = distance_to_box(grid, eye, *box)
-                if near > 0.0:
-                    weight = length * scale / near
-                if is_out_of_sight(grid, planes, *box):
-                    weight = -1.0
+            low, high = (float(z) for z in range_)
+            margin = slack * max(abs(low), abs(high), 1.0)
+            box = (vertex, reach + mixed + slack, low - margin, high + margin)
+            near = distance_to_box(grid, eye, *box)
+            weight = length * scale / near if near > 0.0 else float("inf")
+            if is_out_of_sight(grid, planes, *box):
+                weight = -1.0
         found[vertex] = min([weight, *(found[parent] for parent in parents(vertex, size))])
     return found
 

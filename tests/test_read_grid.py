@@ -15,12 +15,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from rasterio._err import CPLE_BaseError
 from rasterio.control import GroundControlPoint
-from rasterio.enums import ColorInterp
+from rasterio.enums import ColorInterp, Resampling
 from rasterio.errors import CRSError, RasterioError
 from rasterio.windows import Window
 
 from rtin import Grid, _raster
-from rtin.io import grids
+from rtin.io import _thinning, grids
+from rtin.io._thinning import _taken
 from rtin.io.grids import read_grid, suspicious_values
 
 PLACE = Affine(10.0, 0.0, 1000.0, 0.0, -20.0, 9000.0)
@@ -816,3 +817,119 @@ def test_no_truncated_file_is_a_grid(tmp_path, good_files, name):
     for length in range(0, len(content) - 12, 7):
         path.write_bytes(content[:length])
         assert not read_or_refuse(path)
+
+
+# Every second, third, … row and column
+
+
+WAVES = np.round(
+    1000.0 + 900.0 * np.sin(np.arange(70.0)[:, None] / 5) * np.cos(np.arange(90.0) / 7)
+)
+LAYOUTS = {
+    "tiles": {"tiled": True, "blockxsize": 16, "blockysize": 32},
+    "strips": {"blockysize": 8},
+    "rows": {"blockysize": 1},
+    "compressed": {"tiled": True, "blockxsize": 32, "blockysize": 16, "compress": "deflate"},
+}
+
+
+def sliced(grid, step):
+    a, b, x, d, e, y = grid.transform[:6]
+    place = Affine(a * step, b * step, x, d * step, e * step, y)
+    return grid.heights[::step, ::step], place
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("step", [1, 2, 3, 16, 17, 31, 40])
+@pytest.mark.parametrize("window", [None, ((3, 68), (5, 90)), ((33, 69), (47, 88))])
+def test_a_step_reads_what_a_slice_of_the_whole_holds(tmp_path, layout, step, window):
+    if step == 40 and window is not None:
+        window = ((3, 60), (5, 90))
+    stored = WAVES.astype(np.int16)
+    path = write_raster(
+        tmp_path / "a.tif", stored, nodata=int(stored[0, 2]), transform=Affine.rotation(33),
+        mask=WAVES < 1800, **LAYOUTS[layout],
+    )  # fmt: skip
+    heights, place = sliced(read_grid(path, window=window), step)
+    grid = read_grid(path, window=window, step=step)
+    np.testing.assert_array_equal(grid.heights, heights)
+    assert grid.transform.almost_equals(place, 1e-12)
+    assert grid.crs.to_epsg() == 32628
+
+
+def test_a_step_reads_samples_where_the_file_has_overviews(tmp_path):
+    path = write_raster(tmp_path / "a.tif", WAVES.astype(np.float32))
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([2, 4], Resampling.average)
+    np.testing.assert_array_equal(read_grid(path, step=4).heights, WAVES[::4, ::4])
+
+
+def test_few_samples_are_read_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(_thinning, "_MOST_AT_ONCE", 300)
+    path = write_raster(tmp_path / "a.tif", WAVES.astype(np.float32), **LAYOUTS["tiles"])
+    np.testing.assert_array_equal(read_grid(path, step=3).heights, WAVES[::3, ::3])
+
+
+def test_blocks_between_two_samples_are_passed_over(tmp_path, monkeypatch):
+    path = write_raster(tmp_path / "a.tif", WAVES.astype(np.float32), **LAYOUTS["rows"])
+    seen = []
+    monkeypatch.setattr(
+        _thinning, "_taken", lambda span, wanted: seen.append(span) or taken(span, wanted)
+    )
+    taken = _taken
+    read_grid(path, step=20)
+    assert [span for span in seen if span != (0, 90)] == [(0, 1), (20, 21), (40, 41), (60, 61)]
+
+
+@pytest.mark.parametrize("encoding", ["terrain-rgb", "terrarium"])
+def test_colours_are_thinned_before_they_are_heights(tmp_path, encoding):
+    scale, offset = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1 / 256, -32768.0)}[encoding]
+    path = write_raster(tmp_path / "a.png", encode(WAVES, scale, offset), driver="PNG")
+    heights, _ = sliced(read_grid(path), 4)
+    np.testing.assert_array_equal(read_grid(path, step=4).heights, heights)
+    np.testing.assert_allclose(heights, WAVES[::4, ::4], atol=0.1)
+
+
+def test_alpha_scale_and_wide_integers_are_thinned_alike(tmp_path):
+    bands = np.stack([WAVES, WAVES < 1500]).astype(np.int32)
+    meanings = [ColorInterp.gray, ColorInterp.alpha]
+    path = write_raster(tmp_path / "a.tif", bands, colorinterp=meanings, scale=(0.5, 7.0))
+    heights, _ = sliced(read_grid(path), 5)
+    assert np.isnan(heights).any()
+    np.testing.assert_array_equal(read_grid(path, step=5).heights, heights)
+
+
+@pytest.mark.parametrize("window", [None, ((3, 68), (5, 90))])
+def test_an_array_is_thinned_without_reading_all_of_it(tmp_path, window):
+    np.save(tmp_path / "a.npy", WAVES)
+    heights, place = sliced(read_grid(tmp_path / "a.npy", window=window), 7)
+    grid = read_grid(tmp_path / "a.npy", window=window, step=7)
+    np.testing.assert_array_equal(grid.heights, heights)
+    assert grid.transform == place
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.npy"])
+@pytest.mark.parametrize(
+    ("step", "kind", "said"),
+    [
+        (0, ValueError, "step must be a whole number from 1, got 0"),
+        (-3, ValueError, "step must be a whole number from 1, got -3"),
+        (2.0, TypeError, "step must be a whole number from 1, got 2.0"),
+        (True, TypeError, "step must be a whole number from 1, got True"),
+        (90, ValueError, "heights must have at least 2 rows and 2 columns"),
+    ],
+)
+def test_an_impossible_step_is_refused(tmp_path, name, step, kind, said):
+    np.save(tmp_path / "a.npy", WAVES)
+    write_raster(tmp_path / "a.tif", WAVES.astype(np.float32))
+    with pytest.raises(kind, match=said) as error:
+        read_grid(tmp_path / name, step=step)
+    assert one_line(error)
+
+
+def test_a_thinned_file_that_is_cut_off_is_refused(tmp_path):
+    path = write_raster(tmp_path / "a.tif", WAVES.astype(np.float32), **LAYOUTS["compressed"])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with pytest.raises(OSError, match=r"a\.tif cannot be read") as error:
+        read_grid(path, step=8)
+    assert one_line(error)

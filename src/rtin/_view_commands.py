@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import webbrowser
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -16,12 +18,13 @@ from rtin._console import (
     one_line,
     one_line_errors,
     progress,
+    progress_bar,
     say,
     say_if_not_compiled,
 )
 
 if TYPE_CHECKING:
-    from rtin.viewer.opening import Opened
+    from rtin.viewer.opening import Opened, Opening
     from rtin.viewer.scene import Place, Settings, Terrain
 
 __all__ = ["view"]
@@ -46,6 +49,30 @@ def view(
         Path | None,
         typer.Option("--orthophoto", metavar="IMAGE", help="Lay a picture over the terrain."),
     ] = None,
+    colours: Annotated[
+        Literal["hillshade", "height", "error", "orthophoto"] | None,
+        typer.Option(help="Of the terrain."),
+    ] = None,
+    wireframe: Annotated[bool, typer.Option("--wireframe", help="Draw the edges, too.")] = False,
+    snapshot: Annotated[
+        Path | None,
+        typer.Option(metavar="PICTURE", help="Write a .png or .jpg instead of serving a page."),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILM", help="Write an .mp4 or .gif instead of serving a page."),
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Of pictures, in pixels.")] = "1280x720",
+    eye: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Take the picture from there.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="What the eye looks at.")
+    ] = None,
+    path_of_film: Annotated[
+        Literal["orbit", "flight"], typer.Option("--path", help="Of the camera in a film.")
+    ] = "orbit",
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of a film.")] = 150,
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
     no_browser: Annotated[
@@ -54,18 +81,30 @@ def view(
     band: Band = 1,
     encoding: Encoding = None,
 ) -> None:
-    """Look at a raster or a mesh in the browser; the level of detail follows the camera."""
+    """Look at a raster or a mesh in the browser; the level of detail follows the camera.
+
+    With --snapshot or --record, write a picture or a film instead: no screen is needed.
+    """
     with one_line_errors(), ExitStack() as stack:
         from rtin.viewer.opening import Opening
+
+        usual = "hillshade" if photo is None else "orthophoto"
+        if colours == "orthophoto" and photo is None:
+            raise typer.BadParameter("--colours orthophoto needs --orthophoto IMAGE")
+        settings = replace(
+            _settings(pixel_error, max_triangles, max_error, exaggeration, colours or usual),
+            wireframe=wireframe,
+        )
+        if snapshot is not None or record is not None:
+            opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
+            points = _points(eye, target)
+            out = _Out(snapshot, record, _size(size), points, path_of_film, frames)
+            _draw(opening, path.name, photo, settings, out)
+            return
+        if eye is not None or target is not None:
+            raise typer.BadParameter("--eye and --target are for --snapshot")
         from rtin.viewer.page import Page, run
 
-        settings = _settings(
-            pixel_error,
-            max_triangles,
-            max_error,
-            exaggeration,
-            "hillshade" if photo is None else "orthophoto",
-        )
         with progress(f"opening {path.name}"):
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             first = opening.first()
@@ -80,6 +119,76 @@ def view(
         if not no_browser:
             webbrowser.open(page.address)
         run(page, say=announce)
+
+
+_Point = tuple[float, float, float]
+
+
+class _Out(NamedTuple):
+    """What is to be written: pictures and films, of which size, seen from where."""
+
+    snapshot: Path | None
+    record: Path | None
+    size: tuple[int, int]
+    points: tuple[_Point, _Point] | None
+    path: Literal["orbit", "flight"]
+    frames: int
+
+
+def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, out: _Out) -> None:
+    """Write a picture, a film, or both, of all that there is."""
+    from rtin.viewer import cameras, pictures
+
+    if out.snapshot is not None:
+        pictures.require_still_path(out.snapshot)
+    if out.record is not None:
+        pictures.require_film_path(out.record)
+    with progress(f"opening {name}"):
+        opened = opening.finest()
+    say_if_not_compiled("rtin.lod")
+    with progress(f"preparing {name}"):
+        terrain = _terrain(opened, photo)
+    place, higher = terrain.place, settings.exaggeration
+    if out.snapshot is not None:
+        view = cameras.overlook()
+        if out.points is not None:
+            eye, target = (opened.from_crs(point) for point in out.points)
+            view = cameras.seen_from(place, eye, target, higher)
+        with progress(f"drawing {out.snapshot}"):
+            pictures.snapshot(terrain, out.snapshot, view, settings=settings, size=out.size)
+        announce(f"{out.snapshot}: {out.size[0]} × {out.size[1]} pixels")
+    if out.record is not None:
+        if out.path == "orbit":
+            views = cameras.orbit(out.frames)
+        else:
+            views = cameras.flight(opened.surface, place, out.frames, higher)
+        with progress_bar(f"drawing {out.record}") as tell:
+            pictures.record(terrain, out.record, views, settings=settings, size=out.size, tell=tell)
+        announce(f"{out.record}: {out.frames} pictures of {out.size[0]} × {out.size[1]} pixels")
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)[x×](\d+)", text)
+    if not found:
+        raise typer.BadParameter(f"--size must be width x height, such as 1280x720; got {text!r}")
+    return int(found[1]), int(found[2])
+
+
+def _points(eye: str | None, target: str | None) -> tuple[_Point, _Point] | None:
+    """Return eye and target; None where neither is given."""
+    if eye is None and target is None:
+        return None
+    if eye is None or target is None:
+        raise typer.BadParameter("give both --eye and --target, or neither")
+    return _point("--eye", eye), _point("--target", target)
+
+
+def _point(flag: str, text: str) -> _Point:
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{flag} must be three numbers, x,y,z; got {text!r}") from None
+    return x, y, z
 
 
 def _terrain(opened: Opened, photo: Path | None, place: Place | None = None) -> Terrain:

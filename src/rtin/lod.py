@@ -283,12 +283,16 @@ class LevelOfDetail:
         TypeError
             If ``rows`` or ``cols`` is no slice, or the heights are no real numbers.
         ValueError
-            If the patch is empty, has a step, or is not of the shape of ``heights``; or a height
-            is too large. Nothing is changed then.
+            If the patch is empty, has a step, or is not of the shape of ``heights``; a height is
+            too large; or no sample would have one. Nothing is changed then.
         """
         top, bottom = _span("rows", rows, self._heights.shape[0])
         left, right = _span("cols", cols, self._heights.shape[1])
         patch = _as_patch(heights, (bottom - top, right - left), self._heights)
+        if np.isnan(patch).all() and not _has_heights_outside(
+            self._heights, top, bottom, left, right
+        ):
+            raise ValueError("heights would hold no value at all: every sample would be NaN")
         if self._changed is None:
             self._changed = self._heights.copy()
             # The kernels get a view to read only, as of a grid: they are compiled for those.
@@ -402,7 +406,7 @@ class LevelOfDetail:
             if len(walked.weights) > most and not search.is_narrow:
                 search.go_coarser()
                 continue
-            corners = _Walk(*(of_all[:4] for of_all in walked))
+            corners = _Walk._make(of_all[:4] for of_all in walked)
             n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
             if tolerance >= 0.0 or search.tolerance == 0.0:
@@ -654,10 +658,25 @@ def _span(name: str, value: slice, n: int) -> tuple[int, int]:
 def _as_patch(
     values: ArrayLike, shape: tuple[int, int], heights: NDArray[np.floating[Any]]
 ) -> NDArray[np.floating[Any]]:
-    patch = as_floats(values)
-    if patch.shape != shape:
+    if np.shape(values) != shape:
         raise ValueError(
             f"heights must have the patch's shape {shape} in a raster of {heights.shape}, "
-            f"got {patch.shape}"
+            f"got {np.shape(values)}"
         )
-    return require_heights(patch).astype(heights.dtype)
+    patch = require_heights(as_floats(values))
+    with np.errstate(over="ignore"):
+        rounded = patch.astype(heights.dtype)
+    if np.isinf(rounded).any():
+        raise ValueError(
+            f"heights must fit the grid's {heights.dtype}, got {np.nanmax(np.abs(patch)):g}; "
+            "make the LevelOfDetail of a float64 grid"
+        )
+    return rounded
+
+
+def _has_heights_outside(
+    heights: NDArray[np.floating[Any]], top: int, bottom: int, left: int, right: int
+) -> bool:
+    beside = heights[top:bottom, :left], heights[top:bottom, right:]
+    parts = heights[:top], heights[bottom:], *beside
+    return any(not np.isnan(row).all() for part in parts for row in part)

@@ -795,13 +795,14 @@ def fill_vertices(transform, places, z, around, slots, numbers, vertices, coarse
 def triangles_gained(z, around, slots, number):
     """How many triangles more there are with a vertex than without it."""
     gained, slot = 0, slots[number]
-    with_self = z[number] == z[number]
-    with_a = z[around[number, (slot + 1) & 3]] == z[around[number, (slot + 1) & 3]]
-    with_b = z[around[number, (slot + 3) & 3]] == z[around[number, (slot + 3) & 3]]
+    # As numbers: NumPy's booleans can't be subtracted.
+    with_self = int(not np.isnan(z[number]))
+    with_a = int(not np.isnan(z[around[number, (slot + 1) & 3]]))
+    with_b = int(not np.isnan(z[around[number, (slot + 3) & 3]]))
     for side in range(0, 4, 2):
         apex = around[number, (slot + side) & 3]
         if apex >= 0 and z[apex] == z[apex]:
-            gained += (with_self and with_a) + (with_self and with_b) - (with_a and with_b)
+            gained += with_self * (with_a + with_b) - with_a * with_b
     return gained
 
 

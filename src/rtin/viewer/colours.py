@@ -76,8 +76,8 @@ class Drape:
         lower = self.image[below, col] * (1.0 - across) + self.image[below, right] * across
         return np.asarray((upper * (1.0 - down) + lower * down) / 255.0)
 
-    def colours(self, mesh: TriangleMesh) -> _Floats:
-        """Return colours in 0..1, shape (n, 3), for the vertices of a mesh; a ``Painter``."""
+    def __call__(self, mesh: TriangleMesh) -> _Floats:
+        """Return colours in 0..1, shape (n, 3), for the vertices of a mesh."""
         return self.at(mesh.vertices)
 
     @cached_property

@@ -71,6 +71,12 @@ class Opened:
     is_final: bool
     note: str
 
+    def from_crs(self, point: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return x, y and z of the surface for a point in the CRS of the file."""
+        a, b, x0, d, e, y0 = tuple(self.to_crs)[:6]
+        x, y = np.linalg.solve([[a, b], [d, e]], [point[0] - x0, point[1] - y0]).tolist()
+        return x, y, point[2]
+
 
 class Opening:
     """A raster or a mesh that is being opened; a context, which ends that.
@@ -120,6 +126,14 @@ class Opening:
         opened = _opened_mesh(self._path) if self._raster is None else next(self._all_opened())
         self._is_whole = opened.is_final
         return opened
+
+    def finest(self) -> Opened:
+        """Return the last stage at once, in the place of ``first``; it raises what that raises."""
+        if self._raster is None:
+            return self.first()
+        reading, self._is_whole = list(self._stages)[-1]
+        heights = self._raster.levels.read(reading, self._require_open)
+        return self._raster.opened(heights, reading, self._is_whole)
 
     def go_on(
         self, on_opened: Callable[[Opened], None], on_failure: Callable[[Exception], None]

@@ -75,7 +75,8 @@ class Newest:
             try:
                 await self._work()
             except Exception as error:
-                _log.exception("a picture failed")
+                _log.error("a picture failed: %s: %s", type(error).__name__, error)
+                _log.debug("in full:", exc_info=error)
                 self._on_failure(error)
 
 
@@ -162,11 +163,16 @@ class Visitor:
         if self._flies.value:
             self._flight = asyncio.get_running_loop().create_task(self._fly())
 
+    def _highest(self) -> float:
+        """Return how high the terrain's highest point is drawn."""
+        terrain, exaggeration = self._page.terrain, self.panel.settings.exaggeration
+        return float(terrain.place.into_scene(terrain.bounds[1], exaggeration)[2])
+
     async def _fly(self) -> None:
         """Move the camera along the path, each time once the browser has made the last move."""
         began, camera = time.monotonic(), self.client.camera
         while True:
-            eye, target = _on_path((time.monotonic() - began) / _ROUND)
+            eye, target = _on_path((time.monotonic() - began) / _ROUND, self._highest())
             self._moved.clear()
             with self.client.atomic():
                 camera.position, camera.look_at = eye, target
@@ -185,11 +191,13 @@ def _view(camera: viser.CameraHandle) -> View:
     return View(eye, target, up, angle, height, width / height)
 
 
-def _on_path(turns: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return eye and target on a round over the terrain, ``turns`` after its beginning."""
+def _on_path(
+    turns: float, highest: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return eye and target on a round above the terrain, ``turns`` after its beginning."""
     angle = 2.0 * math.pi * turns - 0.5 * math.pi
     ahead = angle + 0.9
-    radius, height = 0.3 * SIDE, 0.09 * SIDE
+    radius, height = 0.3 * SIDE, highest + 0.06 * SIDE
     eye = (radius * math.cos(angle), radius * math.sin(angle), height)
     return eye, (radius * math.cos(ahead), radius * math.sin(ahead), 0.0)
 
@@ -312,7 +320,12 @@ def _quiet() -> Iterator[None]:
 
 
 def run(page: Page, *, say: Callable[[str], None] = print) -> None:
-    """Say where the page is, and wait until Ctrl-C."""
+    """Say where the page is, and wait until Ctrl-C.
+
+    What clients do wrong is not logged from then on: the library that speaks to them would tell of
+    each in a screenful.
+    """
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
     say(f"the terrain is at {page.address} (Ctrl-C ends it)")
     with suppress(KeyboardInterrupt):
         threading.Event().wait()

@@ -23,21 +23,24 @@ from rtin.viewer.colours import Drape, Painter, by_error, by_height, hillshade, 
 from rtin.viewer.opening import Opened
 
 __all__ = [
+    "LIFT",
     "MOST_TRIANGLES",
     "SIDE",
     "Picture",
     "Place",
     "Settings",
+    "Shown",
     "Terrain",
     "View",
     "bounds_of",
     "painters_of",
+    "usual_painters",
 ]
 
 SIDE = 100.0  # units: the longer side of a terrain
 _WIDER = 1.3  # than what is seen: a camera turns further before the next mesh is there
 _WIDEST = 150.0  # degrees
-_LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
+LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
 MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
 _SHADE = 0.3  # of the colour: what is left where no light falls
 _INK = [0.02, 0.03, 0.05, 1.0]
@@ -120,6 +123,15 @@ class Picture(NamedTuple):
     seconds: float
 
 
+class Shown(NamedTuple):
+    """A mesh, its vertices in the scene, what gives them colours, and edges to draw, if any."""
+
+    mesh: TriangleMesh
+    vertices: _Floats
+    painter: Painter
+    edges: NDArray[np.int64] | None
+
+
 class Terrain:
     """A raster's level of detail or a mesh from a file, at its place in the scene.
 
@@ -150,7 +162,7 @@ class Terrain:
         self.note = note
         self.bounds = bounds_of(surface)
         self.place = place or Place.of(self.bounds)
-        self.painters = painters or _usual_painters(self.bounds)
+        self.painters = painters or usual_painters(surface, None)
         self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
         self._mesh = surface if isinstance(surface, TriangleMesh) else None
 
@@ -166,21 +178,29 @@ class Terrain:
         return (self, settings, view)
 
     def draw(self, view: View, settings: Settings) -> Picture:
-        """Return what a view shows of the terrain."""
+        """Return what a view shows of the terrain, to send to a browser."""
         started = time.perf_counter()
         mesh, kept = self._cut(view, settings)
         is_cut_short = self.has_levels and mesh.n_triangles > MOST_TRIANGLES
         if is_cut_short:
             mesh, kept = self._cut(view, _shorter(settings))
         cut = time.perf_counter()
-        paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
-        vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
-        lift = _LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
-        edges = mesh.edges() if settings.wireframe else None
-        data = _glb(vertices, mesh.triangles, paint(mesh), edges, lift)
+        shown = self._placed(mesh, settings)
+        lift = LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
+        data = _glb(shown, lift)
         done = time.perf_counter()
         counts = (mesh.n_triangles, mesh.n_vertices)
         return Picture(data, *counts, kept, is_cut_short, cut - started, done - started)
+
+    def shown(self, view: View, settings: Settings) -> Shown:
+        """Return what a view shows of the terrain, however many triangles that takes."""
+        return self._placed(self._cut(view, settings)[0], settings)
+
+    def _placed(self, mesh: TriangleMesh, settings: Settings) -> Shown:
+        paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
+        vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
+        edges = mesh.edges() if settings.wireframe else None
+        return Shown(mesh, vertices, paint, edges)
 
     def _cut(self, view: View, settings: Settings) -> tuple[TriangleMesh, float | None]:
         """Return the mesh of a view, and the tolerance that it keeps."""
@@ -240,27 +260,26 @@ def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> 
 
     Those of a mesh from a file light it by its own slopes. Raises as ``orthophoto`` does.
     """
-    bounds = bounds_of(opened.surface)
-    painters: dict[str, Painter] = {}
-    under: Drape | None = None
-    if isinstance(opened.surface, Grid):
-        under = hillshade(opened.surface)
-        painters = {"hillshade": under.colours, "height": by_height(*bounds[:, 2].tolist())}
-        painters["error"] = by_error(opened.surface)
-    if photo is not None:
-        painters = {"orthophoto": orthophoto(photo, opened, under=under).colours, **painters}
-    return {**_usual_painters(bounds), **painters} if under is None else painters
+    surface = opened.surface
+    under = hillshade(surface) if isinstance(surface, Grid) else None
+    painters = usual_painters(surface, under)
+    if photo is None:
+        return painters
+    return {"orthophoto": orthophoto(photo, opened, under=under), **painters}
 
 
-def _usual_painters(bounds: _Floats) -> dict[str, Painter]:
-    """Return what tints vertices by height, from the least to the largest, and what lights them."""
-    tinted = by_height(*bounds[:, 2].tolist())
+def usual_painters(surface: Grid | TriangleMesh, relief: Drape | None) -> dict[str, Painter]:
+    """Return a raster's painters, with its relief; or a mesh's, lit by its own slopes."""
+    low, high = bounds_of(surface)[:, 2].tolist()
+    tinted = by_height(low, high)
 
     def lit(mesh: TriangleMesh) -> _Floats:
         light = _tint.hillshade(_normals(mesh))
         return np.asarray(tinted(mesh) * (_SHADE + light[:, np.newaxis]))
 
-    return {"hillshade": lit, "height": tinted}
+    if relief is None or isinstance(surface, TriangleMesh):
+        return {"hillshade": lit, "height": tinted}
+    return {"hillshade": relief, "height": tinted, "error": by_error(surface)}
 
 
 def _normals(mesh: TriangleMesh) -> _Floats:
@@ -269,31 +288,32 @@ def _normals(mesh: TriangleMesh) -> _Floats:
     return _gltf.normals_of(crosses, mesh.triangles, mesh.n_vertices)
 
 
-def _glb(
-    vertices: _Floats,
-    triangles: NDArray[np.int32],
-    colours: _Floats,
-    edges: NDArray[np.int64] | None,
-    lift: float,
-) -> bytes:
-    """Return triangles of these colours, unlit, and ``edges`` so much above them, as a GLB.
+def _glb(shown: Shown, lift: float) -> bytes:
+    """Return what is shown, unlit, and its edges so much above it, as a GLB.
 
-    z is up, as viser has it within a GLB, too.
+    A drape goes along as a texture, which is sharp where triangles are large; what other painters
+    give goes to the vertices. z is up, as viser has it within a GLB, too.
     """
-    attributes: dict[str, NDArray[Any]] = {
-        "POSITION": vertices.astype("<f4"),
-        "COLOR_0": _sixteen_bits(_tint.linear(colours)),
-    }
-    if edges is not None:
-        attributes["edges"] = edges.astype("<u4").ravel()
+    attributes: dict[str, NDArray[Any]] = {"POSITION": shown.vertices.astype("<f4")}
+    drape = shown.painter if isinstance(shown.painter, Drape) else None
+    if shown.edges is not None:
+        attributes["edges"] = shown.edges.astype("<u4").ravel()
+    if drape is None:
+        attributes["COLOR_0"] = _sixteen_bits(_tint.linear(shown.painter(shown.mesh)))
+    else:
+        uv = drape.texture_coordinates(shown.mesh.vertices)
+        attributes["TEXCOORD_0"] = np.rint(65535.0 * uv).astype("<u2")
+        attributes["jpeg"] = np.frombuffer(drape.jpeg + bytes(-len(drape.jpeg) % 4), np.uint8)
 
     def finish(tree: dict[str, Any]) -> None:
         tree["extensionsUsed"] = ["KHR_materials_unlit"]
         tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
-        if edges is not None:
+        if drape is not None:
+            _gltf.lay_over(tree, "jpeg", len(drape.jpeg))
+        if shown.edges is not None:
             _add_edges(tree, lift)
 
-    return _gltf.packed(triangles.astype("<u4"), attributes, finish)
+    return _gltf.packed(shown.mesh.triangles.astype("<u4"), attributes, finish)
 
 
 def _sixteen_bits(colours: _Floats) -> NDArray[np.uint16]:

@@ -1,0 +1,294 @@
+"""Pictures and films of terrain, drawn by VTK without a screen."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from ctypes.util import find_library
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtin._atomic import replacing, require_place
+from rtin.grid import Grid
+from rtin.mesh import TriangleMesh
+from rtin.viewer.cameras import overlook
+from rtin.viewer.colours import Drape, hillshade
+from rtin.viewer.scene import LIFT, Settings, Shown, Terrain, View, usual_painters
+
+__all__ = ["as_terrain", "picture", "record", "require_film_path", "require_still_path", "snapshot"]
+
+_Image = NDArray[np.uint8]
+_Source = Grid | TriangleMesh | Terrain
+
+SIZE = (1280, 720)
+_LARGEST = 8192  # pixels a side
+_STILLS = (".png", ".jpg", ".jpeg")
+_FILMS = (".mp4", ".gif")
+_SKY, _HORIZON = "#b9cfe4", "#f5f3ee"
+_INK = (0.13, 0.15, 0.2)
+_NEAR_EDGE = 1.0  # pixels: the width of edges
+
+
+def picture(
+    source: _Source,
+    view: View | None = None,
+    *,
+    settings: Settings | None = None,
+    size: tuple[int, int] = SIZE,
+) -> _Image:
+    """Return a picture of a terrain.
+
+    Parameters
+    ----------
+    source : Grid, TriangleMesh or Terrain
+        A grid in degrees goes through ``in_metres``. A grid's level of detail is made for each
+        call: a ``Terrain`` keeps it.
+    view : View, optional
+        From where; from the south, above the whole terrain, by default. ``rtin.viewer.cameras`` has
+        others. The height and aspect of the picture are those of ``size``.
+    settings : Settings, optional
+        How fine, which colours, and how much higher; see ``rtin.viewer.scene``.
+    size : (int, int)
+        Width and height in pixels.
+
+    Returns
+    -------
+    ndarray of uint8, shape (height, width, 3)
+        sRGB.
+
+    Raises
+    ------
+    ImportError
+        If pyvista is missing.
+    OSError
+        If there is nothing to draw with.
+    TypeError, ValueError
+        If the source or size is a wrong one.
+    """
+    with _Stage(size) as stage:
+        return stage.draw(as_terrain(source), view or overlook(), settings or Settings())
+
+
+def snapshot(
+    source: _Source,
+    path: str | os.PathLike[str],
+    view: View | None = None,
+    *,
+    settings: Settings | None = None,
+    size: tuple[int, int] = SIZE,
+) -> None:
+    """Write a picture of a terrain, as .png or .jpg; whole or not at all.
+
+    Parameters and errors are those of ``picture``; ValueError for another extension, OSError where
+    the file can't be written.
+    """
+    from PIL import Image
+
+    require_still_path(path)
+    image = Image.fromarray(picture(source, view, settings=settings, size=size))
+    with replacing(path) as part:
+        image.save(part)
+
+
+def record(
+    source: _Source | Iterable[_Source],
+    path: str | os.PathLike[str],
+    views: Sequence[View],
+    *,
+    settings: Settings | None = None,
+    size: tuple[int, int] = SIZE,
+    frames_per_second: float = 25.0,
+    tell: Callable[[float], None] | None = None,
+) -> None:
+    """Write a film of a terrain, as .mp4 or .gif; whole or not at all.
+
+    Parameters
+    ----------
+    source : Grid, TriangleMesh, Terrain, or an iterable of them
+        What is seen: one terrain all the time, or another one in each view.
+    path : path-like
+    views : sequence of View
+        One for each picture of the film.
+    settings, size
+        As for ``picture``; an .mp4 has even numbers of pixels, rounded down.
+    frames_per_second : float
+        At most 50 for a .gif.
+    tell : function, optional
+        Called after each picture with the share of them that is done.
+
+    Raises
+    ------
+    ImportError
+        If pyvista or imageio is missing.
+    OSError
+        If there is nothing to draw with, or the file can't be written.
+    TypeError, ValueError
+        As ``picture`` does; for another extension; if there is no view at all.
+    """
+    require_film_path(path)
+    if not 0.0 < frames_per_second <= 1000.0:
+        raise ValueError(f"frames_per_second must be more than zero, got {frames_per_second!r}")
+    if Path(path).suffix.lower() == ".mp4":
+        size = (size[0] // 2 * 2, size[1] // 2 * 2)
+    if len(views) == 0:
+        raise ValueError("a film needs at least one view, got none")
+    settings = settings or Settings()
+    with replacing(path) as part, _Stage(size) as stage, _film(part, frames_per_second) as film:
+        for done, (terrain, view) in enumerate(zip(_one_each(source), views, strict=False), 1):
+            film.append_data(stage.draw(terrain, view, settings))
+            if tell is not None:
+                tell(done / len(views))
+
+
+def require_still_path(path: str | os.PathLike[str]) -> None:
+    """Raise now what ``snapshot`` would raise because of ``path``."""
+    _require_extension(path, _STILLS, "a picture")
+
+
+def require_film_path(path: str | os.PathLike[str]) -> None:
+    """Raise now what ``record`` would raise because of ``path``."""
+    _require_extension(path, _FILMS, "a film")
+
+
+def as_terrain(source: _Source) -> Terrain:
+    """Return a terrain of a grid or mesh, with all colours that a page has."""
+    if isinstance(source, Terrain):
+        return source
+    if isinstance(source, Grid):
+        grid = source.in_metres()
+        return Terrain(grid, painters=usual_painters(grid, hillshade(grid)))
+    if isinstance(source, TriangleMesh):
+        return Terrain(source)
+    raise TypeError(f"a Grid, a TriangleMesh or a Terrain is wanted, got {type(source).__name__}")
+
+
+class _Stage:
+    """A window of VTK that nobody sees; a context, which ends it."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        width, height = _as_size(size)
+        _require_something_to_draw_with()
+        try:
+            import pyvista
+        except ImportError as error:
+            raise ImportError(
+                f"pictures need pyvista ({error}): pip install 'rtin[view]'"
+            ) from None
+        self._size = (width, height)
+        self._pyvista: Any = pyvista
+        self._drape: Drape | None = None
+        self._its_texture: Any = None
+        self._plotter: Any = self._pyvista.Plotter(off_screen=True, window_size=[width, height])
+        self._plotter.set_background(_HORIZON, top=_SKY)
+        self._plotter.enable_anti_aliasing("ssaa")
+
+    def draw(self, terrain: Terrain, view: View, settings: Settings) -> _Image:
+        width, height = self._size
+        view = View(view.eye, view.target, view.up, view.field_of_view, height, width / height)
+        plotter = self._plotter
+        plotter.clear_actors()
+        lift = LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
+        self._put(terrain.shown(view, settings), lift)
+        camera = plotter.camera
+        camera.position, camera.focal_point, camera.up = view.eye, view.target, view.up
+        camera.view_angle = view.field_of_view
+        plotter.reset_camera_clipping_range()
+        plotter.render()
+        return np.ascontiguousarray(plotter.screenshot(None, return_img=True)[:, :, :3])
+
+    def _put(self, shown: Shown, lift: float) -> None:
+        if shown.mesh.n_triangles == 0:
+            return
+        surface = self._pyvista.PolyData.from_regular_faces(shown.vertices, shown.mesh.triangles)
+        if isinstance(shown.painter, Drape):
+            drape = shown.painter
+            uv = drape.texture_coordinates(shown.mesh.vertices)
+            uv[:, 1] = 1.0 - uv[:, 1]  # VTK has v from below
+            surface.active_texture_coordinates = uv
+            self._plotter.add_mesh(surface, texture=self._texture(drape), lighting=False)
+        else:
+            colours = shown.painter(shown.mesh).clip(0.0, 1.0)
+            rgb = np.rint(255.0 * colours).astype(np.uint8)
+            self._plotter.add_mesh(surface, scalars=rgb, rgb=True, lighting=False)
+        if shown.edges is not None:
+            lines = np.column_stack([np.full(len(shown.edges), 2), shown.edges]).ravel()
+            above = shown.vertices + np.array([0.0, 0.0, lift])
+            net = self._pyvista.PolyData(above, lines=lines)
+            self._plotter.add_mesh(net, color=_INK, line_width=_NEAR_EDGE, lighting=False)
+
+    def _texture(self, drape: Drape) -> Any:  # noqa: ANN401  (pyvista is an extra)
+        """Return the texture of a drape, made once for a film."""
+        if self._drape is not drape:
+            self._drape = drape
+            self._its_texture = self._pyvista.Texture(drape.image)
+            self._its_texture.mipmap = self._its_texture.interpolate = True
+        return self._its_texture
+
+    def __enter__(self) -> _Stage:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._plotter.close()
+
+
+def _film(path: Path, frames_per_second: float) -> Any:  # noqa: ANN401  (imageio is an extra)
+    try:
+        import imageio
+    except ImportError as error:
+        raise ImportError(f"films need imageio ({error}): pip install 'rtin[view]'") from None
+    if path.suffix == ".gif":
+        return imageio.get_writer(path, duration=1000.0 / frames_per_second, loop=0)
+    options: dict[str, Any] = {"macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}
+    return imageio.get_writer(path, fps=frames_per_second, **options)
+
+
+def _one_each(source: _Source | Iterable[_Source]) -> Iterable[Terrain]:
+    if isinstance(source, Grid | TriangleMesh | Terrain):
+        terrain = as_terrain(source)
+        while True:
+            yield terrain
+    for one in source:
+        yield as_terrain(one)
+
+
+def _require_something_to_draw_with() -> None:
+    """Raise OSError where VTK would end the process for want of a library."""
+    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
+        return
+    if find_library("EGL"):
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    elif not find_library("OSMesa"):
+        raise OSError(
+            "there is neither a screen nor a library to draw without one: "
+            "apt-get install libegl1 libgl1-mesa-dri (Debian), or mesa-libEGL (Fedora)"
+        )
+
+
+def _require_extension(
+    path: str | os.PathLike[str], extensions: tuple[str, ...], what: str
+) -> None:
+    suffix = Path(path).suffix.lower()
+    if suffix not in extensions:
+        wanted = ", ".join(extensions)
+        raise ValueError(f"{what} must end in one of {wanted}; got {os.fspath(path)}")
+    require_place(path)
+
+
+def _as_size(size: tuple[int, int]) -> tuple[int, int]:
+    shape = np.asarray(size)
+    if shape.shape != (2,) or shape.dtype.kind not in "iu" or not (shape > 0).all():
+        raise ValueError(f"size must be width and height in whole pixels, got {size!r}")
+    if shape.max() > _LARGEST:
+        raise ValueError(f"size must be at most {_LARGEST} pixels a side, got {size!r}")
+    width, height = shape.tolist()
+    return width, height
