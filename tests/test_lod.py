@@ -244,6 +244,16 @@ def test_frames_keep_the_promise_too_while_they_morph(scene, data):
     assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
 
 
+@pytest.mark.parametrize("pixel_error", [2.0, 4.0, 6.0, 8.0, 12.0, 20.0])
+def test_keeps_its_promise_where_cells_are_far_from_right_angled(pixel_error):
+    # Along their short diagonal samples are closer than rows or columns are.
+    grid = rtin.Grid(terrains.noise((17, 17)) / 50, Affine(1.0, 0.95, 0.0, 0.0, -0.3, 0.0))
+    for corner in ((-60.0, 76.0), (76.0, -60.0)):  # column and row
+        view = View((*(grid.transform @ corner), 0.0))
+        mesh = rtin.LevelOfDetail(grid).mesh(pixel_error=pixel_error, **view.options)
+        assert_keeps_its_promise(mesh, grid, view, pixel_error)
+
+
 @pytest.mark.parametrize("share", [1.001, 1.02])
 def test_nothing_beside_a_void_is_drawn_towards_what_was_not_there(share):
     row, col = np.indices((5, 5))
@@ -660,17 +670,16 @@ def test_nothing_pops_where_vertices_come_and_go(terrain, options):
 def test_surfaces_change_as_little_as_the_eye_moves(options):
     grid = FILLED["rolling"]
     lod = rtin.LevelOfDetail(grid)
-    tolerance = STEPS[options].get("pixel_error", 60.0)
-    start, step = np.array([2.0, -30.0, 45.0]), np.array([0.2, 0.07, -0.06])
-    frames = [lod.frame(start + k * step, **STEPS[options]) for k in range(60)]
+    start, step = np.array([2.0, -30.0, 45.0]), np.array([0.02, 0.007, -0.006])
+    frames = [lod.frame(start + k * step, **STEPS[options]) for k in range(200)]
     n_changed = 0
     for k, (one, other) in enumerate(pairwise(frames)):
         view = View(tuple(start + k * step))
         near = np.linalg.norm(samples_of(grid) - view.eye, axis=-1).min()
-        share = np.linalg.norm(step) / near
-        assert pixels_between(one, other, grid, view) < 200.0 * tolerance * share
+        moved = np.linalg.norm(step) / near
+        assert pixels_between(one, other, grid, view) < 40.0 * moved * one.pixel_error
         n_changed += not same_bytes(one.mesh, other.mesh)
-    assert n_changed > 3
+    assert n_changed > 1
 
 
 # --- terrain that changes -----------------------------------------------------------------------
