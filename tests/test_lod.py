@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -191,6 +192,20 @@ def test_keeps_what_the_twin_keeps_on_every_shape_and_hole(shape, holes):
         assert naive.triangles_of(mesh, grid) == naive_triangles(grid, [weights], tolerance)
 
 
+@pytest.mark.parametrize("holes", ["none", "pond"])
+def test_keeps_what_the_twin_keeps_of_triangles_too_large_to_search_through(holes):
+    shape = (65, 50)
+    heights = terrains.waves(shape) / 4 + terrains.noise(shape) / 64
+    heights = terrains.pierced(heights, terrains.HOLES[holes](shape))
+    lod = rtin.LevelOfDetail(rtin.Grid(np.float32(heights)))
+    lod.update(slice(30, 34), slice(8, 11), heights[30:34, 8:11] + 9.0)
+    weights = naive.weights_by_height(lod.grid.heights, GROWTH)
+    finite = sorted(weight for weight in weights.values() if weight < math.inf)
+    for tolerance in (0.4, 2.3, 7.7, 12.1, finite[-1] * 0.99):
+        triangles = naive_triangles(lod.grid, [weights], tolerance)
+        assert naive.triangles_of(lod.mesh(max_error=tolerance), lod.grid) == triangles
+
+
 # --- the promise --------------------------------------------------------------------------------
 
 
@@ -229,6 +244,30 @@ def test_frames_keep_the_promise_too_while_they_morph(scene, data):
     assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
 
 
+@pytest.mark.parametrize("pixel_error", [2.0, 4.0, 6.0, 8.0, 12.0, 20.0])
+def test_keeps_its_promise_where_cells_are_far_from_right_angled(pixel_error):
+    # Along their short diagonal samples are closer than rows or columns are.
+    grid = rtin.Grid(terrains.noise((17, 17)) / 50, Affine(1.0, 0.95, 0.0, 0.0, -0.3, 0.0))
+    for corner in ((-60.0, 76.0), (76.0, -60.0)):  # column and row
+        view = View((*(grid.transform @ corner), 0.0))
+        mesh = rtin.LevelOfDetail(grid).mesh(pixel_error=pixel_error, **view.options)
+        assert_keeps_its_promise(mesh, grid, view, pixel_error)
+
+
+@pytest.mark.parametrize("share", [1.001, 1.02])
+def test_nothing_beside_a_void_is_drawn_towards_what_was_not_there(share):
+    row, col = np.indices((5, 5))
+    heights = 1000.0 - 500.0 * np.maximum(abs(row - 2), abs(col - 2))
+    heights[1, 1] += 50.0
+    heights[0, 4] = heights[4, 0] = np.nan  # apexes of the vertex in the middle
+    grid, view = rtin.Grid(heights), View((2.0, -2.0, 200_000.0))
+    weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+    pixel_error = share * weights[2, 2]
+    frame = rtin.LevelOfDetail(grid).frame(pixel_error=pixel_error, **view.options)
+    assert frame.mesh.n_triangles == 2
+    assert_keeps_its_promise(frame.morphed, grid, view, pixel_error)
+
+
 @st.composite
 def critical_tolerances(draw, grid, view):
     """Tolerances at which some vertex has come a part of its way; None where there is none."""
@@ -240,7 +279,7 @@ def critical_tolerances(draw, grid, view):
 
 
 @settings(max_examples=80)
-@given(grids(), terrains.tolerances)
+@given(grids(), terrains.tolerances | st.just(math.inf))
 def test_a_tolerance_in_height_holds_everywhere_and_covers_all(grid, tolerance):
     mesh = rtin.LevelOfDetail(grid).mesh(max_error=tolerance)
     validity.check(mesh)
@@ -363,6 +402,17 @@ def test_a_lossless_mesh_has_no_error_at_all():
             assert rtin.vertical_error(mesh, grid).max <= rounding(grid)
 
 
+def test_any_error_is_allowed_but_what_the_eye_is_in():
+    lod = rtin.LevelOfDetail(rolling())
+    far = lod.frame((30.0, -30.0, 500.0), pixel_error=math.inf)
+    assert far.mesh.n_triangles == 2
+    within = lod.frame((30.0, -30.0, 0.0), pixel_error=math.inf)
+    assert 2 < within.mesh.n_triangles < 200
+    for frame in (far, within):
+        assert frame.pixel_error == math.inf
+        assert (frame.weights == 1.0).all()
+
+
 def test_flat_terrain_needs_two_triangles():
     lod = rtin.LevelOfDetail(rtin.Grid(np.full((33, 33), 7.0)))
     for options in ({"max_error": 0}, {"eye": (3, -3, 8)}, {"max_triangles": 999}):
@@ -463,21 +513,21 @@ def test_a_budget_for_an_eye_is_held_and_tight(scene, budget):
 
 
 @settings(max_examples=30)
-@given(grids(), st.integers(2, 300))
-def test_a_budget_for_no_eye_is_held_and_tight(grid, budget):
+@given(grids())
+def test_a_budget_for_no_eye_is_the_smallest_tolerance_that_fits(grid):
     lod = rtin.LevelOfDetail(grid)
-    outline = lod.mesh(max_error=1e30).n_triangles
-    if budget < outline:
-        with pytest.raises(ValueError, match=f"max_triangles must be at least {outline} .*, got"):
-            lod.mesh(max_triangles=budget)
-        return
-    mesh = lod.mesh(max_triangles=budget)
-    assert outline <= mesh.n_triangles <= budget
-    validity.check(mesh)
     weights = naive.weights_by_height(grid.heights, GROWTH).values()
-    finite = sorted({weight for weight in weights if weight < math.inf} | {0.0})
-    sizes = [lod.mesh(max_error=weight * (1.0 + 1e-6)).n_triangles for weight in finite]
-    assert mesh.n_triangles >= max(size for size in sizes if size <= budget)
+    finite = sorted({weight for weight in weights if weight < math.inf} | {0.0}, reverse=True)
+    meshes = [lod.mesh(max_error=w * (1.0 + 1e-6)) for w in finite[:: 1 + len(finite) // 6]]
+    outline = meshes[0].n_triangles
+    assume(outline >= 2)
+    for mesh in meshes:
+        budget = mesh.n_triangles
+        assert same_bytes(lod.mesh(max_triangles=budget), mesh)
+        if budget > outline:
+            assert outline <= lod.mesh(max_triangles=budget - 1).n_triangles < budget
+    with pytest.raises(ValueError, match="max_triangles must be at least"):
+        lod.mesh(max_triangles=outline - 1)
 
 
 def test_earlier_budgets_have_no_say():
@@ -563,7 +613,8 @@ def test_a_frame_is_the_mesh_for_its_tolerance():
     np.testing.assert_allclose(z, frame.weights * own + (1 - frame.weights) * frame.coarser)
     np.testing.assert_array_equal(frame.morphed.vertices[:, :2], frame.mesh.vertices[:, :2])
     np.testing.assert_array_equal(frame.morphed.triangles, frame.mesh.triangles)
-    assert 5 < ((0.0 < frame.weights) & (frame.weights < 1.0)).sum() < 0.3 * len(z)
+    is_moving = (frame.weights > 0.0) & (frame.weights < 1.0)
+    assert 5 < is_moving.sum() < 0.3 * len(z)
 
 
 def test_a_lossless_frame_does_not_move():
@@ -619,17 +670,16 @@ def test_nothing_pops_where_vertices_come_and_go(terrain, options):
 def test_surfaces_change_as_little_as_the_eye_moves(options):
     grid = FILLED["rolling"]
     lod = rtin.LevelOfDetail(grid)
-    tolerance = STEPS[options].get("pixel_error", 60.0)
-    start, step = np.array([2.0, -30.0, 45.0]), np.array([0.2, 0.07, -0.06])
-    frames = [lod.frame(start + k * step, **STEPS[options]) for k in range(60)]
+    start, step = np.array([2.0, -30.0, 45.0]), np.array([0.02, 0.007, -0.006])
+    frames = [lod.frame(start + k * step, **STEPS[options]) for k in range(200)]
     n_changed = 0
-    for k, (one, other) in enumerate(zip(frames, frames[1:], strict=False)):
+    for k, (one, other) in enumerate(pairwise(frames)):
         view = View(tuple(start + k * step))
         near = np.linalg.norm(samples_of(grid) - view.eye, axis=-1).min()
-        share = np.linalg.norm(step) / near
-        assert pixels_between(one, other, grid, view) < 200.0 * tolerance * share
+        moved = np.linalg.norm(step) / near
+        assert pixels_between(one, other, grid, view) < 40.0 * moved * one.pixel_error
         n_changed += not same_bytes(one.mesh, other.mesh)
-    assert n_changed > 3
+    assert n_changed > 1
 
 
 # --- terrain that changes -----------------------------------------------------------------------

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rtin.overlay import TerrainDifference, terrain_difference
     from rtin.plotting import plot
     from rtin.refinement import refine, refine_to
+    from rtin.viewer.notebook import show
 
 _MODULE_OF = {
     "AdaptiveMesh": "rtin.adaptive",
@@ -60,6 +61,7 @@ _MODULE_OF = {
     "read_mesh": "rtin.io",
     "refine": "rtin.refinement",
     "refine_to": "rtin.refinement",
+    "show": "rtin.viewer.notebook",
     "terrain_difference": "rtin.overlay",
     "to_skfem": "rtin.io",
     "to_triangulation": "rtin.io",
@@ -98,6 +100,7 @@ __all__ = [
     "read_mesh",
     "refine",
     "refine_to",
+    "show",
     "terrain_difference",
     "to_skfem",
     "to_triangulation",

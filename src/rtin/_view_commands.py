@@ -150,7 +150,7 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
         terrain = _terrain(opened, photo)
     place, higher = terrain.place, settings.exaggeration
     if out.snapshot is not None:
-        view = cameras.overlook()
+        view = cameras.overlook(terrain, higher, out.size[0] / out.size[1])
         if out.points is not None:
             eye, target = (opened.from_crs(point) for point in out.points)
             view = cameras.seen_from(place, eye, target, higher)
@@ -159,7 +159,7 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
         announce(f"{out.snapshot}: {out.size[0]} × {out.size[1]} pixels")
     if out.record is not None:
         if out.path == "orbit":
-            views = cameras.orbit(out.frames)
+            views = cameras.orbit(out.frames, terrain, higher, out.size[0] / out.size[1])
         else:
             views = cameras.flight(opened.surface, place, out.frames, higher)
         with progress_bar(f"drawing {out.record}") as tell:

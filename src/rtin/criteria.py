@@ -101,8 +101,8 @@ class VerticalError(ErrorFigures):
     @cached_property
     def field(self) -> NDArray[np.float64]:
         """The whole map of surface - sample, float64 of shape (rows, cols)."""
-        surfaces = _parallel.run(_surface_of_band, _bands_of(self._mesh, self._grid))
-        return np.asarray(np.concatenate(surfaces) - self._grid.heights)
+        surface = surface_at_samples(self._mesh, self._grid.transform, self._grid.shape)
+        return surface - self._grid.heights
 
     def __repr__(self) -> str:
         return (
@@ -129,8 +129,18 @@ def vertical_error(mesh: TriangleMesh, grid: Grid) -> VerticalError:
     """
     require_grid(grid)
     require_mesh(mesh)
-    parts = _parallel.run(_statistics_of_band, _bands_of(mesh, grid))
+    bands = _bands_of(mesh, grid.transform, grid.heights)
+    parts = _parallel.run(_statistics_of_band, bands)
     return VerticalError(**_figures(parts), _mesh=mesh, _grid=grid)
+
+
+def surface_at_samples(
+    mesh: TriangleMesh, transform: Affine, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Return a mesh's height at each sample of a lattice, of that shape; NaN where it has none."""
+    lattice = np.broadcast_to(np.float64(0.0), shape)
+    surfaces = _parallel.run(_surface_of_band, _bands_of(mesh, transform, lattice))
+    return np.concatenate(surfaces)
 
 
 def error_by_bands(
@@ -190,11 +200,16 @@ class _Band:
     members: NDArray[np.int32]
 
 
-def _bands_of(mesh: TriangleMesh, grid: Grid) -> list[tuple[_Band]]:
-    places, z = grid.places(mesh.vertices[:, :2]), np.ascontiguousarray(mesh.vertices[:, 2])
-    rows = _parallel.row_bands(grid.shape[0])
+def _bands_of(
+    mesh: TriangleMesh, transform: Affine, heights: NDArray[np.floating[Any]]
+) -> list[tuple[_Band]]:
+    places, z = (
+        places_in(transform, mesh.vertices[:, :2]),
+        np.ascontiguousarray(mesh.vertices[:, 2]),
+    )
+    rows = _parallel.row_bands(len(heights))
     return [
-        (_Band(first, grid.heights[first:end], places, z, mesh.triangles, members),)
+        (_Band(first, heights[first:end], places, z, mesh.triangles, members),)
         for first, end, members in members_by_band(places, mesh.triangles, rows)
     ]
 

@@ -161,6 +161,17 @@ class Grid:
         heights[inside] = total
         return heights
 
+    def show(self, *, exaggeration: float = 1.0, max_triangles: int | None = None) -> None:
+        """Show the grid in 3-D, in a notebook or in the browser; see ``rtin.show``."""
+        from rtin.viewer import notebook
+
+        notebook.show(self, exaggeration=exaggeration, max_triangles=max_triangles)
+
+    def _repr_html_(self) -> str:
+        from rtin.viewer import notebook
+
+        return notebook.as_html(self)
+
     def __repr__(self) -> str:
         rows, cols = self.shape
         crs = "no CRS" if self.crs is None else self.crs.to_string()[:40]

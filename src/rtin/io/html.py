@@ -31,8 +31,10 @@ _WIREFRAME = (
 )
 
 
-def page(placed: PlacedMesh) -> bytes:
+def page(placed: PlacedMesh, note: str = "") -> bytes:
     """Return an HTML page that shows ``placed`` and holds all it needs, three.js too.
+
+    The counts and the note are at its foot.
 
     The page is trimesh's viewer. Its only light sits at the camera and shows no relief, so the
     light is part of the colours here and the material is unlit.
@@ -40,7 +42,7 @@ def page(placed: PlacedMesh) -> bytes:
     counts = f"{len(placed.triangles):,} triangles, {len(placed.vertices):,} vertices"
     head, body = _template().split("$B64GLTF")
     head = re.sub("<title>.*?</title>", f"<title>rtin: {counts}</title>", head, count=1)
-    head = head.replace("<body>", "<body>" + _CAPTION.format(counts=counts), 1)
+    head = head.replace("<body>", "<body>" + _CAPTION.format(counts=counts + note), 1)
     body = body.replace("</body>", _WIREFRAME + "</body>", 1)
     return head.encode() + base64.b64encode(_unlit_glb(placed)) + body.encode()
 

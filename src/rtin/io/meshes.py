@@ -20,8 +20,10 @@ from rtin.mesh import TriangleMesh, require_mesh
 __all__ = [
     "Placement",
     "is_mesh_path",
+    "page_of",
     "placement_of",
     "read_mesh",
+    "require_shape",
     "require_writable",
     "write_mesh",
 ]
@@ -120,13 +122,20 @@ def write_mesh(
     OSError
         If the file cannot be written. What was there before is still there.
     """
-    _check(mesh)
+    require_shape(mesh)
     suffix = _known_suffix(path, ENCODERS)
     placed = placement_of(mesh, path, z_scale=z_scale, keep_degrees=keep_degrees)
-    with np.errstate(over="ignore"):
-        shape = place(mesh, placed, base)
-    require_range(shape.vertices, suffix)
-    write_bytes(path, ENCODERS[suffix](shape))
+    write_bytes(path, ENCODERS[suffix](_shape(mesh, placed, base, suffix)))
+
+
+def page_of(mesh: TriangleMesh, *, z_scale: float = 1.0, note: str = "") -> bytes:
+    """Return the page that ``write_mesh`` writes to .html, with a note after its counts.
+
+    Raises ValueError and TypeError as ``write_mesh`` does.
+    """
+    require_shape(mesh)
+    placed = placement_of(mesh, "a.html", z_scale=z_scale)
+    return html.page(_shape(mesh, placed, None, ".html"), note)
 
 
 def placement_of(
@@ -264,7 +273,15 @@ def _known_suffix(path: str | os.PathLike[str], known: dict[str, Any]) -> str:
     return suffix
 
 
-def _check(mesh: TriangleMesh) -> None:
+def _shape(mesh: TriangleMesh, placed: Placement, base: float | None, suffix: str) -> PlacedMesh:
+    with np.errstate(over="ignore"):
+        shape = place(mesh, placed, base)
+    require_range(shape.vertices, suffix)
+    return shape
+
+
+def require_shape(mesh: TriangleMesh) -> None:
+    """Raise TypeError or ValueError where a mesh has nothing that could be written."""
     if require_mesh(mesh).n_triangles == 0:
         raise ValueError("a mesh with triangles is wanted, got one without any")
     if not np.isfinite(mesh.vertices).all():

@@ -10,6 +10,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from rtin.grid import places_in
 from rtin.io._places import horizontal
 from rtin.io.grids import gdal_at_work, open_raster
 
@@ -60,22 +61,31 @@ class Photo:
                     "picture a transform"
                 )
             self.shape: tuple[int, int] = dataset.shape
-            self._crs, self._bounds = dataset.crs, dataset.bounds
+            self._crs, self._place = dataset.crs, dataset.transform
             self._overviews: list[int] = dataset.overviews(1)
             self._palette = _palette(dataset)
 
-    def pixel_size(self, crs: pyproj.CRS | None) -> float:
-        """Return how long a side of a pixel is, about, in the unit of ``crs``.
+    def pixels_in_one(
+        self, crs: pyproj.CRS | None, transform: Affine, shape: tuple[int, int]
+    ) -> float:
+        """Return how many of the picture's pixels lie along one of another lattice, in its middle.
 
-        Raises ValueError where the picture can't be brought there.
+        ``transform`` maps corners of the lattice's pixels to x and y in ``crs``. Raises ValueError
+        where the picture can't be brought there.
         """
-        from rasterio.warp import calculate_default_transform
+        from rasterio.warp import transform as moved_to
 
+        row, col = shape[0] / 2, shape[1] / 2
+        a, b, x, d, e, y = tuple(transform)[:6]
+        cols, rows = np.array([[col, col + 1, col], [row, row, row + 1]])
         ours, theirs = self._both(crs)
-        rows, cols = self.shape
+        xy = (a * cols + b * rows + x).tolist(), (d * cols + e * rows + y).tolist()
         with gdal_at_work(self.name):
-            transform, _, _ = calculate_default_transform(ours, theirs, cols, rows, *self._bounds)
-        return float(np.sqrt(abs(transform.determinant)))
+            points = np.column_stack(moved_to(theirs, ours, *xy))
+        if not np.isfinite(points).all():
+            raise ValueError(f"{self.name} shows nothing of the terrain: it lies elsewhere")
+        corner, beside, below = places_in(self._place, points)
+        return float(np.sqrt(abs(np.linalg.det([beside - corner, below - corner]))))
 
     def warped(
         self, crs: pyproj.CRS | None, transform: Affine, shape: tuple[int, int]
@@ -90,7 +100,7 @@ class Photo:
         from rasterio.vrt import WarpedVRT
 
         ours, theirs = self._both(crs)
-        times = np.sqrt(abs(transform.determinant)) / self.pixel_size(crs)
+        times = self.pixels_in_one(crs, transform, shape)
         smooth = Resampling.average if times > 1.0 else Resampling.bilinear
         with closing(self._at(times)) as dataset, gdal_at_work(self.name):
             options = {"height": shape[0], "width": shape[1], "add_alpha": _lacks_mask(dataset)}

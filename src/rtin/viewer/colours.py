@@ -236,34 +236,37 @@ def orthophoto(
     """
     photo = Photo(path)
     extent = np.maximum(np.ptp(opened.bounds, axis=0), np.finfo(np.float64).tiny)
-    shape = _shape(photo, opened, extent, longest)
+    finest = extent.max() / longest
+    shape = _shape(extent, finest)
     if photo.is_placed:
-        corner = _corner_transform(opened, shape)
-        image, covered = photo.warped(opened.crs, _chained(opened.to_crs, corner), shape)
+        # No finer than the picture itself.
+        share = photo.pixels_in_one(opened.crs, _in_crs(opened, shape), shape)
+        shape = _shape(extent, finest / min(share, 1.0))
+        image, covered = photo.warped(opened.crs, _in_crs(opened, shape), shape)
     else:
         image, covered = photo.whole(shape)
-        corner = _corner_transform(opened, image.shape[:2])
     if not covered.any():
         raise ValueError(f"{photo.name} shows nothing of the terrain: it lies elsewhere")
-    drape = Drape(image, moved(corner, 0.5, 0.5))
+    drape = Drape(image, moved(_corner_transform(opened, image.shape), 0.5, 0.5))
     image[~covered] = _GREY if under is None else _seen_through(under, drape)[~covered]
     return drape
 
 
-def _shape(photo: Photo, opened: Opened, extent: _Floats, longest: int) -> tuple[int, int]:
-    """Return rows and columns of a drape: square pixels, no finer than the picture's."""
-    pixel = extent.max() / longest
-    if photo.is_placed:
-        finest = photo.pixel_size(opened.crs) / np.abs([opened.to_crs.a, opened.to_crs.e])
-        pixel = max(pixel, float(finest.min()))
-    cols, rows = np.maximum(1, np.ceil(extent / pixel - 1e-6)).astype(int).tolist()
+def _shape(extent: _Floats, pixel: float) -> tuple[int, int]:
+    """Return rows and columns of square pixels, or nearly, that fill an extent."""
+    cols, rows = np.maximum(1, np.ceil(extent / pixel - 1e-3)).astype(int).tolist()
     return rows, cols
+
+
+def _in_crs(opened: Opened, shape: tuple[int, int]) -> Affine:
+    """Return what maps corners of pixels that fill the extent to x and y of the CRS."""
+    return _chained(opened.to_crs, _corner_transform(opened, shape))
 
 
 def _corner_transform(opened: Opened, shape: tuple[int, ...]) -> Affine:
     """Return what maps corners of pixels that fill the extent to x and y of the surface."""
     (west, south), (east, north) = opened.bounds.tolist()
-    rows, cols = shape
+    rows, cols = shape[:2]
     return Affine((east - west) / cols, 0.0, west, 0.0, (south - north) / rows, north)
 
 

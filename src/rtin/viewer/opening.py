@@ -1,8 +1,8 @@
 """Rasters of any size, and meshes, opened to be looked at: first a coarse one, then the whole.
 
 What is read first takes a second or three: an overview of the file, or every so many samples. Each
-stage after that has up to sixteen times the samples of the one before, so all of them together take
-little longer than the last, which has every sample, or as many as fit in memory.
+stage after that has up to sixteen times the samples of the one before, and the last every sample,
+or as many as fit in memory. All of them together take little longer than the last.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from rtin.mesh import TriangleMesh
 if TYPE_CHECKING:
     import pyproj
 
-__all__ = ["Opened", "Opening"]
+__all__ = ["Opened", "Opening", "mesh_in_metres"]
 
 _FIRST_SAMPLES = 1_100_000  # a hierarchy over them takes a third of a second, on two cores
 _MOST_DECODED = 150_000_000  # samples, to read those: one to three seconds
-_FINER = 16  # times the samples of the stage before
+_FINER = 16  # times the samples of the stage before, at most
+_WORTH_IT = 8  # times fewer samples than the whole: what is shown before that
 # Of a sample while it is read and prepared: what is read, its mask, and the hierarchy.
 _BYTES_NARROW, _BYTES_WIDE = 14, 26
 _PATIENCE = 10.0  # seconds that closing waits for a part of the file to be read
@@ -223,10 +224,13 @@ class _Raster:
         final = self.levels.thinned(min(self._limit / self._per_sample, 2**62))
         most = min(_FIRST_SAMPLES, final.n_samples)
         reading = self.levels.within(most, _MOST_DECODED)
-        while reading != final and 2 * reading.n_samples < final.n_samples:
+        while _WORTH_IT * reading.n_samples <= final.n_samples:
             yield reading, False
-            most *= _FINER
-            reading = self.levels.within(min(most, final.n_samples))
+            if most == final.n_samples:
+                break
+            if _FINER * reading.n_samples >= most:  # else it is coarse for want of time
+                most = min(_FINER * most, final.n_samples)
+            reading = self.levels.within(most)
         yield final, True
 
     def opened(
@@ -273,14 +277,19 @@ def _has_a_triangle(heights: NDArray[np.floating[Any]]) -> bool:
     return bool((pairs[:, :-1] + pairs[:, 1:] >= 3).any())
 
 
+def mesh_in_metres(mesh: TriangleMesh) -> tuple[TriangleMesh, Affine]:
+    """Return a mesh as ``Grid.in_metres`` has grids, and what maps its x and y back."""
+    if mesh.crs is None or not mesh.crs.is_geographic:
+        return mesh, _IDENTITY
+    metres = Metres.around(mesh.crs, *mesh.bounds[:, :2].mean(axis=0).tolist())
+    shift, scale = (metres.x, metres.y, 0.0), (metres.east, metres.north, 1.0)
+    vertices = (mesh.vertices - shift) * scale
+    return TriangleMesh(vertices, mesh.triangles, tags=mesh.tags), metres.undone()
+
+
 def _opened_mesh(path: str | os.PathLike[str]) -> Opened:
-    mesh = read_mesh(path)
-    bounds, to_crs, crs = mesh.bounds[:, :2], _IDENTITY, mesh.crs
-    if crs is not None and crs.is_geographic:
-        metres = Metres.around(crs, *bounds.mean(axis=0).tolist())
-        shift, scale = (metres.x, metres.y, 0.0), (metres.east, metres.north, 1.0)
-        vertices = (mesh.vertices - shift) * scale
-        mesh = TriangleMesh(vertices, mesh.triangles, tags=mesh.tags)
-        bounds, to_crs = mesh.bounds[:, :2], metres.undone()
+    read = read_mesh(path)
+    mesh, to_crs = mesh_in_metres(read)
+    bounds = mesh.bounds[:, :2]
     note = f"{mesh.n_triangles:,} triangles"
-    return Opened(mesh, bounds, crs, to_crs, 1.0, True, note)
+    return Opened(mesh, bounds, read.crs, to_crs, 1.0, True, note)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from ctypes.util import find_library
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,8 +14,10 @@ from numpy.typing import NDArray
 from rtin._atomic import replacing, require_place
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
+from rtin.viewer._offscreen import require_renderer
 from rtin.viewer.cameras import overlook
 from rtin.viewer.colours import Drape, hillshade
+from rtin.viewer.opening import mesh_in_metres
 from rtin.viewer.scene import LIFT, Settings, Shown, Terrain, View, usual_painters
 
 __all__ = ["as_terrain", "picture", "record", "require_film_path", "require_still_path", "snapshot"]
@@ -46,8 +46,8 @@ def picture(
     Parameters
     ----------
     source : Grid, TriangleMesh or Terrain
-        A grid in degrees goes through ``in_metres``. A grid's level of detail is made for each
-        call: a ``Terrain`` keeps it.
+        Degrees become metres round the middle, as in ``Grid.in_metres``. A grid's level of detail
+        is made for each call: a ``Terrain`` keeps it.
     view : View, optional
         From where; from the south, above the whole terrain, by default. ``rtin.viewer.cameras`` has
         others. The height and aspect of the picture are those of ``size``.
@@ -71,7 +71,9 @@ def picture(
         If the source or size is a wrong one.
     """
     with _Stage(size) as stage:
-        return stage.draw(as_terrain(source), view or overlook(), settings or Settings())
+        terrain, settings = as_terrain(source), settings or Settings()
+        first = overlook(terrain, settings.exaggeration, size[0] / size[1])
+        return stage.draw(terrain, view or first, settings)
 
 
 def snapshot(
@@ -163,7 +165,7 @@ def as_terrain(source: _Source) -> Terrain:
         grid = source.in_metres()
         return Terrain(grid, painters=usual_painters(grid, hillshade(grid)))
     if isinstance(source, TriangleMesh):
-        return Terrain(source)
+        return Terrain(mesh_in_metres(source)[0])
     raise TypeError(f"a Grid, a TriangleMesh or a Terrain is wanted, got {type(source).__name__}")
 
 
@@ -172,7 +174,7 @@ class _Stage:
 
     def __init__(self, size: tuple[int, int]) -> None:
         width, height = _as_size(size)
-        _require_something_to_draw_with()
+        require_renderer()
         try:
             import pyvista
         except ImportError as error:
@@ -259,19 +261,6 @@ def _one_each(source: _Source | Iterable[_Source]) -> Iterable[Terrain]:
             yield terrain
     for one in source:
         yield as_terrain(one)
-
-
-def _require_something_to_draw_with() -> None:
-    """Raise OSError where VTK would end the process for want of a library."""
-    if not sys.platform.startswith("linux") or os.environ.get("DISPLAY"):
-        return
-    if find_library("EGL"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-    elif not find_library("OSMesa"):
-        raise OSError(
-            "there is neither a screen nor a library to draw without one: "
-            "apt-get install libegl1 libgl1-mesa-dri (Debian), or mesa-libEGL (Fedora)"
-        )
 
 
 def _require_extension(
