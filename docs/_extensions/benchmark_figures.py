@@ -28,7 +28,50 @@ def _level_of_detail(tables, figure):
     right.set_xticks(list(places), [row["view"] for row in views])
 
 
-DRAWN_BY = {"level_of_detail": _level_of_detail}
+def _coarsening(tables, figure):
+    """Milliseconds of rtin and two peers, for three tolerances."""
+    by_threshold, by_error = tables.values()
+    left, right = figure.subplots(1, 2, sharey=True)
+    _bars(left, by_threshold, "ε/range", {"rtin ms": OURS, "martini ms": THEIRS})
+    left.set(ylabel="ms", xlabel="threshold, of the heights' range", title="the same vertices")
+    _bars(right, by_error, "ε/range", {"rtin ms": OURS, "martini ms": THEIRS, "delatin ms": GREY})
+    right.set(
+        xlabel="largest error, of the heights' range", title="max_error, beside what peers call so"
+    )
+
+
+def _refinement(tables, figure):
+    """How many times as long as rtin the peers take."""
+    (rows,) = tables.values()
+    cases = {f"{row['mesh']}, {row['targets']}": [] for row in rows}
+    for row in rows:
+        cases[f"{row['mesh']}, {row['targets']}"].append(row)
+    for ax, (case, those) in zip(
+        figure.subplots(1, len(cases), sharey=True), cases.items(), strict=True
+    ):
+        ax.bar([row["peer"] for row in those], [row["of cpu"] for row in those], color=THEIRS)
+        ax.axhline(1.0, color=OURS)
+        ax.set(yscale="log", title=case)
+    figure.axes[0].set_ylabel("processor time, rtin = 1")
+
+
+def _bars(ax, rows, label, colours):
+    width = 0.8 / len(colours)
+    for i, (name, colour) in enumerate(colours.items()):
+        places = [place + (i + 0.5) * width - 0.4 for place in range(len(rows))]
+        ax.bar(
+            places, [row[name] for row in rows], width, color=colour, label=name.removesuffix(" ms")
+        )
+    ax.set_xticks(range(len(rows)), [row[label] for row in rows])
+    ax.set_yscale("log")
+    ax.legend(frameon=False)
+
+
+DRAWN_BY = {
+    "level_of_detail": _level_of_detail,
+    "coarsening": _coarsening,
+    "refinement": _refinement,
+}
 
 
 def _draw_all(app, config):

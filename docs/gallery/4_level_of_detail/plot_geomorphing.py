@@ -27,7 +27,9 @@ ax.triplot(rtin.to_triangulation(frame.mesh), color="#33414d", linewidth=0.15)
 dots = ax.scatter(*frame.mesh.vertices[:, :2].T, c=frame.weights, s=7, cmap="viridis", zorder=2)
 ax.plot(*path[:, :2].T, color="#b5543c", linewidth=3.0, label="where the eye flies")
 ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-ax.set_title(f"{np.mean(frame.weights < 1.0):.0%} of {len(frame.weights):,} vertices are on their way")
+ax.set_title(
+    f"{np.mean(frame.weights < 1.0):.0%} of {len(frame.weights):,} vertices are on their way"
+)
 ax.legend(loc="upper right")
 fig.colorbar(dots, label="weight", shrink=0.8)
 plt.show()
@@ -60,7 +62,9 @@ def jumps(meshes):
 fig, ax = plt.subplots(figsize=(7, 3.8), layout="constrained")
 ax.plot(jumps([frame.mesh for frame in frames]), color="#b5543c", label="frame.mesh")
 ax.plot(jumps([frame.morphed for frame in frames]), color="#4c7a8c", label="frame.morphed")
-ax.set(xlabel="frame", ylabel="largest jump (pixels)", ylim=(0, None), title="60 m from frame to frame")
+ax.set(
+    xlabel="frame", ylabel="largest jump (pixels)", ylim=(0, None), title="60 m from frame to frame"
+)
 ax.legend()
 ax.grid(alpha=0.3)
 plt.show()

@@ -89,7 +89,9 @@ for _ in range(15):
     settle(lod, ground, drawn, mud)
     meshes.append(lod.mesh(max_error=0.5))
     layers.append(mud)
-print(f"Mud: {layers[0].sum() * CELL**2:,.0f} m³ at first, {mud.sum() * CELL**2:,.0f} m³ at the end.")
+print(
+    f"Mud: {layers[0].sum() * CELL**2:,.0f} m³ at first, {mud.sum() * CELL**2:,.0f} m³ at the end."
+)
 
 
 def painter(mud):
