@@ -127,8 +127,9 @@ class LevelOfDetail:
     Notes
     -----
     What each vertex stands for is found exactly and then saturated (see the module), so a mesh has
-    a few per cent more vertices than the least one that keeps the same promise, which
-    ``coarsen`` finds in a time that grows with the raster.
+    more vertices than the least one that keeps the same promise, which ``coarsen`` finds in a time
+    that grows with the raster: 2 to 7 % more for a tolerance in height, 12 to 16 % for one in
+    pixels, and a quarter for a frame, which morphs (Taiwan at 35 m, views of 100 000 triangles).
 
     Several threads may ask for meshes at once, but not while another one updates.
     """
@@ -404,18 +405,18 @@ class LevelOfDetail:
         most = 2 * budget + _SPARE
         while True:
             walked = self._walk(view, search.tolerance, MOST if search.is_narrow else most)
-            if len(walked.weights) > most and not search.is_narrow:
-                search.go_coarser()
-                continue
             corners = _Walk._make(of_all[:4] for of_all in walked)
             n_coarsest = len(self._triangles(corners, math.inf))
             tolerance = tolerance_within(*walked[1:], n_coarsest, budget)
+            if len(walked.weights) > most and not search.is_narrow:
+                search.go_coarser(tolerance)
+                continue
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
             search.go_finer(2 * len(walked.weights) / budget)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
-            self._guesses[kind] = max(_A_BIT_FINER * tolerance, _FINEST)
+            self._guesses[kind] = _A_BIT_FINER * tolerance
         elif not kind:
             least = len(self._triangles(walked, _FINITE))
             raise ValueError(
@@ -520,9 +521,10 @@ class _Search:
         self.is_narrow = False
         self._too_fine, self._too_coarse = 0.0, math.inf
 
-    def go_coarser(self) -> None:
+    def go_coarser(self, least: float) -> None:
+        """Go on after a walk that was broken off; for what it found that tolerance is the least."""
         self._too_fine = self.tolerance
-        wanted = 4.0 * self.tolerance
+        wanted = max(4.0 * self.tolerance, min(_A_BIT_FINER * least, _COARSEST))
         self._go(min(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def go_finer(self, share: float) -> None:

@@ -36,6 +36,7 @@ MIXED = 4  # beside a slot: a triangle is split there to tell heights from voids
 SMALL = 16  # the spacing of triangles that are searched sample by sample
 SHORT = 8  # rows of triangles for which vector speed does not pay
 LEAST = 1e-45  # that float32 holds
+BLOCK = 512  # vertices whose children are weighed together
 
 
 # --- where the hierarchy keeps a vertex -----------------------------------------------------------
@@ -490,15 +491,18 @@ def reach_of(level, kind):
 
 
 @jit
-def is_outside(planes, row, col, reach, low, high):
-    """Whether a box of samples lies outside one of the planes wholly."""
-    middle, half = (low + high) / 2, (high - low) / 2
+def side_of_planes(planes, row, col, reach, low, high):
+    """-1 where a box of samples lies outside one of the planes wholly, 1 inside all, 0 between."""
+    middle, half, is_inside_all = (low + high) / 2, (high - low) / 2, True
     for i in range(planes.shape[0]):
         a, b, c = planes[i, 0], planes[i, 1], planes[i, 2]
         farthest = (abs(a) + abs(b)) * reach + abs(c) * half
-        if a * row + b * col + c * middle + planes[i, 3] + farthest < 0.0:
-            return True
-    return False
+        of_middle = a * row + b * col + c * middle + planes[i, 3]
+        if of_middle + farthest < 0.0:
+            return -1
+        # By more than rounding: then boxes inside this one need not be looked at.
+        is_inside_all &= of_middle > (1.0 + 1e-6) * farthest + 1e-9 * abs(planes[i, 3])
+    return 1 if is_inside_all else 0
 
 
 @jit
@@ -508,40 +512,6 @@ def as_seen(error, scale, down, across, up):
     if distance > 0.0:
         return error * scale / distance
     return np.inf if error > 0.0 else 0.0
-
-
-@inlined
-def slot_of_hash(row, col, level, table):
-    """Where to look first for a vertex in a hash table, whose length is a power of two."""
-    mixed = np.int64(row >> level) * 2654435761 + np.int64(col >> level) * 805459861
-    return (mixed >> 12) & (table.size - 1)
-
-
-@jit
-def tabled(places, first, end, level):
-    """A hash table of the numbers first to end, by their places."""
-    size = 4
-    while size < 2 * (end - first):
-        size *= 2
-    table = np.full(size, -1, np.int32)
-    for number in range(first, end):
-        slot = slot_of_hash(places[number, 0], places[number, 1], level, table)
-        while table[slot] >= 0:
-            slot = (slot + 1) & (size - 1)
-        table[slot] = number
-    return table
-
-
-@inlined
-def find(table, places, level, row, col):
-    """The number of the vertex at a place; -1 where there is none in the table."""
-    slot = slot_of_hash(row, col, level, table)
-    while table[slot] >= 0:
-        number = table[slot]
-        if places[number, 0] == row and places[number, 1] == col:
-            return number
-        slot = (slot + 1) & (table.size - 1)
-    return -1
 
 
 @jit
@@ -564,38 +534,24 @@ def height_at(heights, row, col):
 
 
 @jit
-def descend(
-    heights,
-    layout,
-    bounds,
-    eye,
-    planes,
-    tolerance,
-    level,
-    kind,
-    first,
-    end,
-    places,
-    z,
-    around,
-    slots,
-    weights,
-    n,
-):
-    """Append the children, of that level and kind, of the vertices from first to before end.
+def propose(layout, level, kind, first, end, places, around, slots, children, proposed):
+    """List the children, of that level and kind, whose apexes are all there; return their number.
 
-    Arrays are read here and not in small functions: to count references to them takes longer.
+    Each comes from one apex, the ``number`` first to before end, in a slot of it; the ``other`` is
+    its sibling across the edge that the child bisects. Both surround a corner of that edge, their
+    own apex, in neighbouring slots::
+
+            other o           the corner's children: other and number
+                  | \
+                  u   corner
+                  | /
+           number o
     """
     size = 1 << len(layout)
-    start, width, n_rows = layout[level, kind], layout[level, kind + 1], layout[level, kind + 2]
     row_shift, col_shift = level + 1 if kind == CENTRE else level, level + 1
-    eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
-    row_length, col_length = eye[3], eye[4]
-    breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
-    reach_of_samples = reach_of(level, kind) + 1e-6
+    n_rows, width = layout[level, kind + 2], layout[level, kind + 1]
     turn = kind == CENTRE
-    first_slot = 2 if kind == CENTRE else 1  # of the two children that no other apex finds
-    table = tabled(places, first, end, level)
+    first_slot, n = 2 if kind == CENTRE else 1, 0
     for number in range(first, end):
         row, col = places[number, 0], places[number, 1]
         is_on_border = kind == EDGE and (row >> level == 1 or col >> level == 1)
@@ -607,42 +563,110 @@ def descend(
                 continue
             if u_row >> row_shift >= n_rows or u_col >> col_shift >= width:
                 continue
-            o_row, o_col = u_row + (row_step << level), u_col + (col_step << level)
-            weight, other = weights[number], -1
-            if is_inside(o_row, o_col, size):
-                other = find(table, places, level, o_row, o_col) if turned < 2 else -1
+            other = -1
+            if is_inside(u_row + (row_step << level), u_col + (col_step << level), size):
+                if turned >= 2:
+                    continue  # the other one proposes it
+                corner_slot = (slot + 1 - turn) & 3
+                if (corner_slot ^ slots[number]) & 1 == 0:
+                    corner = around[number, corner_slot]
+                    other = children[corner, (corner_slot + 3) & 3]
+                else:
+                    corner = around[number, (slot - turn) & 3]
+                    other = children[corner, (slot - turn + 1) & 3]
                 if other < 0:
                     continue
-                weight = min(weight, weights[other])
-            if kind == EDGE and level == 0:
-                error, low, high = unit_bounds(heights, u_row, u_col)
-            else:
-                entry = start + (u_row >> row_shift) * width + (u_col >> col_shift)
-                error = np.float64(bounds[entry, ERROR])
-                low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
-            is_mixed = error < 0.0
+            proposed[n, 0], proposed[n, 1], proposed[n, 2] = u_row, u_col, slot
+            proposed[n, 3], proposed[n, 4] = number, other
+            n += 1
+    return n
+
+
+@jit
+def weigh(heights, layout, bounds, eye, level, kind, proposed, n_proposed, weights, weighed):
+    """Write weight, lowest and highest sample of what is proposed; mark in its slot what is mixed.
+
+    Nothing here depends on what is found, so that reads from far away overlap.
+    """
+    start, width = layout[level, kind], layout[level, kind + 1]
+    row_shift, col_shift = level + 1 if kind == CENTRE else level, level + 1
+    eye_row, eye_col, eye_z, scale = eye[0], eye[1], eye[2], eye[6]
+    row_length, col_length = eye[3], eye[4]
+    breadth = (2 << level) * eye[5] * (np.sqrt(2.0) if kind == CENTRE else 1.0)
+    reach_of_samples = reach_of(level, kind) + 1e-6
+    for i in range(n_proposed):
+        row, col, other = proposed[i, 0], proposed[i, 1], proposed[i, 4]
+        weight = weights[proposed[i, 3]]
+        weight = min(weight, weights[other]) if other >= 0 else weight
+        if kind == EDGE and level == 0:
+            error, low, high = unit_bounds(heights, row, col)
+        else:
+            entry = start + (row >> row_shift) * width + (col >> col_shift)
+            error = np.float64(bounds[entry, ERROR])
+            low, high = np.float64(bounds[entry, LOW]), np.float64(bounds[entry, HIGH])
+        is_mixed = error < 0.0
+        if scale == 0.0:
+            weight = min(weight, np.inf if is_mixed else error)
+        else:
             # The outline is off as far as the corners of finest triangles are.
             reach = reach_of_samples + is_mixed
-            if scale == 0.0:
-                weight = min(weight, np.inf if is_mixed else error)
-            else:
-                down = max(abs(u_row - eye_row) - reach, 0.0) * row_length
-                across = max(abs(u_col - eye_col) - reach, 0.0) * col_length
-                up = max(low - eye_z, eye_z - high, 0.0)
-                error = max(-error, breadth) if is_mixed else error
-                weight = min(weight, as_seen(error, scale, down, across, up))
-            if not weight > tolerance:
+            down = max(abs(row - eye_row) - reach, 0.0) * row_length
+            across = max(abs(col - eye_col) - reach, 0.0) * col_length
+            up = max(low - eye_z, eye_z - high, 0.0)
+            error = max(-error, breadth) if is_mixed else error
+            weight = min(weight, as_seen(error, scale, down, across, up))
+        proposed[i, 2] += MIXED * is_mixed
+        weighed[i, 0], weighed[i, 1], weighed[i, 2] = weight, low, high
+
+
+@jit
+def accept(
+    heights,
+    planes,
+    tolerance,
+    level,
+    kind,
+    proposed,
+    weighed,
+    n_proposed,
+    places,
+    z,
+    around,
+    slots,
+    weights,
+    children,
+    is_within,
+    n,
+):
+    """Append what is proposed and weighs more than a tolerance."""
+    turn, first = kind == CENTRE, n
+    reach_of_samples = reach_of(level, kind) + 1e-6
+    for i in range(n_proposed):
+        weight = weighed[i, 0]
+        if not weight > tolerance:
+            continue
+        row, col, number, other = proposed[i, 0], proposed[i, 1], proposed[i, 3], proposed[i, 4]
+        is_mixed, slot = proposed[i, 2] >> 2, proposed[i, 2] & 3
+        is_within[n] = is_within[number]
+        if not is_within[n]:
+            reach, low, high = reach_of_samples + is_mixed, weighed[i, 1], weighed[i, 2]
+            side = side_of_planes(planes, row, col, reach, low, high)
+            if side < 0:
                 continue
-            if planes.shape[0] > 0 and is_outside(planes, u_row, u_col, reach, low, high):
-                continue
-            places[n, 0], places[n, 1] = u_row, u_col
-            z[n] = height_at(heights, u_row, u_col)
-            around[n, slot] = other
-            around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
-            around[n, (slot + 2) & 3] = number
-            around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
-            slots[n], weights[n] = slot + MIXED * is_mixed, weight
-            n += 1
+            is_within[n] = side > 0
+        places[n, 0], places[n, 1] = row, col
+        around[n, slot] = other
+        around[n, (slot + 1) & 3] = around[number, (slot + 1 - turn) & 3]
+        around[n, (slot + 2) & 3] = number
+        around[n, (slot + 3) & 3] = around[number, (slot - turn) & 3]
+        slots[n], weights[n] = proposed[i, 2], weight
+        children[n, 0] = children[n, 1] = children[n, 2] = children[n, 3] = -1
+        children[number, slot] = n
+        if other >= 0:
+            children[other, (slot + 2) & 3] = n
+        n += 1
+    for number in range(first, n):  # apart from the rest, for reads from far away to overlap
+        z[number] = height_at(heights, places[number, 0], places[number, 1])
     return n
 
 
@@ -663,13 +687,17 @@ def walk(heights, layout, bounds, eye, planes, tolerance, most):
     size = 1 << len(layout)
     places, z = np.empty((1024, 2), np.int32), np.empty(1024, np.float64)
     around, slots = np.empty((1024, 4), np.int32), np.empty(1024, np.uint8)
-    weights = np.empty(1024, np.float64)
-    around[:4], slots[:4], weights[:4] = -1, 0, np.inf
+    weights, children = np.empty(1024, np.float64), np.empty((1024, 4), np.int32)
+    is_within = np.empty(1024, np.bool_)
+    around[:4], slots[:4], weights[:4], children[:4] = -1, 0, np.inf, -1
+    is_within[:4] = planes.shape[0] == 0
     for corner in range(4):
         places[corner, 0], places[corner, 1] = (corner >> 1) * size, (corner & 1) * size
         z[corner] = height_at(heights, places[corner, 0], places[corner, 1])
     # The roots' apexes are the corners in the north-east and the south-west.
     around[2, 0], around[2, 1], around[1, 2], around[1, 3] = 0, 3, 3, 0
+    children[3, 3] = 2  # the sibling across the first centre vertex
+    proposed, weighed = np.empty((4 * BLOCK, 5), np.int64), np.empty((4 * BLOCK, 3), np.float64)
     first, end, n = 1, 3, 4
     for generation in range(2 * len(layout)):
         level = len(layout) - 1 - generation // 2
@@ -679,26 +707,41 @@ def walk(heights, layout, bounds, eye, planes, tolerance, most):
             larger = max(n_needed, 2 * slots.size)
             places, around = with_rows(places, n, larger), with_rows(around, n, larger)
             slots, weights = with_room(slots, larger), with_room(weights, larger)
-            z = with_room(z, larger)
+            z, is_within = with_room(z, larger), with_room(is_within, larger)
+            children = with_rows(children, n, larger)
         n_before = n
-        n = descend(
-            heights,
-            layout,
-            bounds,
-            eye,
-            planes,
-            tolerance,
-            level,
-            kind,
-            first,
-            end,
-            places,
-            z,
-            around,
-            slots,
-            weights,
-            n,
-        )
+        for block in range(first, end, BLOCK):
+            n_proposed = propose(
+                layout,
+                level,
+                kind,
+                block,
+                min(block + BLOCK, end),
+                places,
+                around,
+                slots,
+                children,
+                proposed,
+            )
+            weigh(heights, layout, bounds, eye, level, kind, proposed, n_proposed, weights, weighed)
+            n = accept(
+                heights,
+                planes,
+                tolerance,
+                level,
+                kind,
+                proposed,
+                weighed,
+                n_proposed,
+                places,
+                z,
+                around,
+                slots,
+                weights,
+                children,
+                is_within,
+                n,
+            )
         first, end = n_before, n
         if first == end or n > most:
             break
