@@ -206,22 +206,24 @@ class _Stage:
     def _put(self, shown: Shown, lift: float) -> None:
         if shown.mesh.n_triangles == 0:
             return
+        # Drawn when all is there, rather than after each part of it.
+        unlit: dict[str, Any] = {"lighting": False, "render": False, "reset_camera": False}
         surface = self._pyvista.PolyData.from_regular_faces(shown.vertices, shown.mesh.triangles)
         if isinstance(shown.painter, Drape):
             drape = shown.painter
             uv = drape.texture_coordinates(shown.mesh.vertices)
             uv[:, 1] = 1.0 - uv[:, 1]  # VTK has v from below
             surface.active_texture_coordinates = uv
-            self._plotter.add_mesh(surface, texture=self._texture(drape), lighting=False)
+            self._plotter.add_mesh(surface, texture=self._texture(drape), **unlit)
         else:
             colours = shown.painter(shown.mesh).clip(0.0, 1.0)
             rgb = np.rint(255.0 * colours).astype(np.uint8)
-            self._plotter.add_mesh(surface, scalars=rgb, rgb=True, lighting=False)
+            self._plotter.add_mesh(surface, scalars=rgb, rgb=True, **unlit)
         if shown.edges is not None:
             lines = np.column_stack([np.full(len(shown.edges), 2), shown.edges]).ravel()
             above = shown.vertices + np.array([0.0, 0.0, lift])
             net = self._pyvista.PolyData(above, lines=lines)
-            self._plotter.add_mesh(net, color=_INK, line_width=_NEAR_EDGE, lighting=False)
+            self._plotter.add_mesh(net, color=_INK, line_width=_NEAR_EDGE, **unlit)
 
     def _texture(self, drape: Drape) -> Any:  # noqa: ANN401  (pyvista is an extra)
         """Return the texture of a drape, made once for a film."""
