@@ -128,8 +128,9 @@ class LevelOfDetail:
     Notes
     -----
     What each vertex stands for is found exactly and then saturated (see the module), so a mesh has
-    a few per cent more vertices than the least one that keeps the same promise, which
-    ``coarsen`` finds in a time that grows with the raster.
+    more vertices than the least one that keeps the same promise, which ``coarsen`` finds in a time
+    that grows with the raster: 2 to 7 % more for a tolerance in height, 12 to 16 % for one in
+    pixels, and a quarter for a frame, which morphs (Taiwan at 35 m, views of 100 000 triangles).
 
     Several threads may ask for meshes at once, but not while another one updates.
     """

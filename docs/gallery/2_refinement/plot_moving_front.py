@@ -67,8 +67,9 @@ plt.show()
 # %%
 # Triangles as small everywhere would be 32,768.
 
-fig, ax = plt.subplots(figsize=(7, 3.2), layout="constrained")
-ax.plot([mesh.n_triangles for mesh, _ in moments], "o-", color="#b5543c")
-ax.set(xlabel="step", ylabel="triangles", ylim=(0, None), title="The mesh grows with the front, not the ground")
-ax.grid(alpha=0.3)
+_, chart = plt.subplots(figsize=(7, 3.2), layout="constrained")
+chart.plot([mesh.n_triangles for mesh, _ in moments], "o-", color="#b5543c")
+chart.set(xlabel="step", ylabel="triangles", ylim=(0, None))
+chart.set_title("The mesh grows with the front, not with the ground")
+chart.grid(alpha=0.3)
 plt.show()

@@ -37,7 +37,9 @@ shade = split + 1.0 * (np.arange(mesh.n_triangles) == worst)
 
 fig, ax = plt.subplots(figsize=(6, 5.6), layout="constrained")
 ax.tripcolor(rtin.to_triangulation(mesh), facecolors=shade, cmap="Oranges", vmax=2.6)
-ax.triplot(rtin.to_triangulation(mesh), color="#33414d", linewidth=0.3)
-ax.set(aspect="equal", xticks=[], yticks=[])
+ax.triplot(rtin.to_triangulation(mesh), color="#33414d", linewidth=0.8)
+west, south, _ = mesh.vertices[mesh.triangles[split]].min(axis=(0, 1)) - 0.02
+east, north, _ = mesh.vertices[mesh.triangles[split]].max(axis=(0, 1)) + 0.02
+ax.set(aspect="equal", xlim=(west, east), ylim=(south, north), xticks=[], yticks=[])
 ax.set_title(f"Refining the dark one splits {split.sum() - 1} others: M1 = {m1[worst]}")
 plt.show()

@@ -9,21 +9,24 @@ far as a conforming mesh asks. Any triangles will do: here those of a Delaunay t
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.tri import Triangulation
 
 import rtin
 
 rng = np.random.default_rng(4)
-x, y = np.vstack([rng.uniform(0.0, 1.0, (40, 2)), [[0, 0], [1, 0], [1, 1], [0, 1]]]).T
-mesh = rtin.from_triangulation(plt.matplotlib.tri.Triangulation(x, y), np.zeros_like(x))
+rows, cols = np.mgrid[0:6, 0:6]
+inner = (rows % 5 > 0) & (cols % 5 > 0)
+x, y = np.array([cols, rows]) / 5 + inner * rng.uniform(-0.05, 0.05, (2, 6, 6))
+mesh = rtin.from_triangulation(Triangulation(x.ravel(), y.ravel()), np.zeros(36))
 
 
 def touches_circle(mesh):
     """Return which triangles reach over a circle."""
     radii = np.hypot(*(mesh.vertices[mesh.triangles, :2] - 0.5).transpose(2, 0, 1))
-    return (radii.min(axis=1) < 0.33) & (radii.max(axis=1) > 0.33)
+    return (radii.min(axis=1) < 0.3) & (radii.max(axis=1) > 0.3)
 
 
-fig, axes = plt.subplots(2, 4, figsize=(10, 5.4), layout="constrained")
+fig, axes = plt.subplots(2, 3, figsize=(9.5, 6.6), layout="constrained")
 for row, scheme in zip(axes, ["4T-LE", "4T-SS"], strict=True):
     refined = mesh
     for ax in row:

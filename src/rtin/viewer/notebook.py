@@ -136,7 +136,8 @@ def _ranges(surface: _Surface) -> list[tuple[str, str]]:
 
 def _image_tag(surface: _Surface) -> str:
     try:
-        data = _small_picture(surface)
+        with np.errstate(all="ignore"):  # or a cell would show what NumPy warns of, too
+            data = _small_picture(surface)
     except Exception:  # whatever it is, a cell that shows a mesh must not fail over its picture
         return ""
     text = base64.b64encode(data).decode()
