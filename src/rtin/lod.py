@@ -39,6 +39,7 @@ _FINITE = float(np.finfo(np.float64).max)
 _SPARE = 256  # vertices more than a budget's to walk over
 _A_BIT_FINER = 0.9  # than the last tolerance, to exceed the budget at the first walk
 _NARROW = 1.01
+_FIRST_STEP, _LONG_STEP = 6.0, 10.0  # octaves of tolerance
 _FINEST, _COARSEST = 1e-30, 1e300  # tolerances to look for
 
 _Floats = NDArray[np.float64]
@@ -413,7 +414,7 @@ class LevelOfDetail:
                 continue
             if tolerance >= 0.0 or search.tolerance == 0.0:
                 break
-            search.go_finer(2 * len(walked.weights) / budget)
+            search.go_finer(len(walked.weights), budget / 2)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
             self._guesses[kind] = _A_BIT_FINER * tolerance
@@ -520,17 +521,27 @@ class _Search:
         self.tolerance = tolerance
         self.is_narrow = False
         self._too_fine, self._too_coarse = 0.0, math.inf
+        self._n_before = 0  # vertices above the tolerance that was too coarse
 
     def go_coarser(self, least: float) -> None:
         """Go on after a walk that was broken off; for what it found that tolerance is the least."""
-        self._too_fine = self.tolerance
-        wanted = max(4.0 * self.tolerance, min(_A_BIT_FINER * least, _COARSEST))
-        self._go(min(wanted, math.sqrt(self._too_fine * self._too_coarse)))
+        self._too_fine = max(self.tolerance, _FINEST)
+        middle = math.sqrt(self._too_fine * min(self._too_coarse, _COARSEST))
+        wanted = max(min(4.0 * self.tolerance, middle), _A_BIT_FINER * least)
+        self._go(min(wanted, _COARSEST) if wanted > self._too_fine else middle)
 
-    def go_finer(self, share: float) -> None:
-        """Go on after a walk that found that share of the budget."""
-        self._too_coarse = self.tolerance
-        wanted = self.tolerance * min(max(_A_BIT_FINER * share, 1.0 / 64.0), _A_BIT_FINER)
+    def go_finer(self, n: int, n_wanted: float) -> None:
+        """Go on after a walk that found n vertices, too few; at the rate of the last step."""
+        if math.isinf(self._too_coarse):
+            octaves = min(math.log2(max(n_wanted / n, 1.0)), _FIRST_STEP)
+        else:
+            gained = (n - self._n_before) / math.log2(self._too_coarse / self.tolerance)
+            octaves = max(n_wanted - n, 0.0) / gained if gained > 0.0 else math.inf
+        self._too_coarse, self._n_before = self.tolerance, n
+        if octaves > _LONG_STEP and self._too_fine == 0.0:
+            self._go(0.0)  # hardly anything is left to find
+            return
+        wanted = _A_BIT_FINER * self.tolerance * 2.0**-octaves
         self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
 
     def _go(self, tolerance: float) -> None:
