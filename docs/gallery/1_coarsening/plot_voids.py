@@ -13,9 +13,7 @@ import rtin
 from rtin import samples
 
 whole = samples.topobathy()
-land = rtin.Grid(
-    np.where(whole.heights > 0.0, whole.heights, np.nan), whole.transform, whole.crs
-)
+land = rtin.Grid(np.where(whole.heights > 0.0, whole.heights, np.nan), whole.transform, whole.crs)
 mesh = rtin.coarsen(land, max_error=100.0)
 
 fig, ax = plt.subplots(figsize=(8, 6), layout="constrained")

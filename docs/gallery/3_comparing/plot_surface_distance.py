@@ -36,5 +36,7 @@ axes[0].legend(loc="upper right")
 fig.colorbar(image, ax=axes[0], label="distance (m)", shrink=0.85)
 
 rtin.plot(mesh, grid=grid, ax=axes[1], line_width=0.4)
-axes[1].set(xlabel="x (m)", title=f"The mesh: {mesh.n_triangles:,} triangles, within 60 m vertically")
+axes[1].set(
+    xlabel="x (m)", title=f"The mesh: {mesh.n_triangles:,} triangles, within 60 m vertically"
+)
 plt.show()

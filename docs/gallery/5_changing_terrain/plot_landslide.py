@@ -89,7 +89,9 @@ for _ in range(15):
     settle(lod, ground, drawn, mud)
     meshes.append(lod.mesh(max_error=0.5))
     layers.append(mud)
-print(f"Mud: {layers[0].sum() * CELL**2:,.0f} m³ at first, {mud.sum() * CELL**2:,.0f} m³ at the end.")
+print(
+    f"Mud: {layers[0].sum() * CELL**2:,.0f} m³ at first, {mud.sum() * CELL**2:,.0f} m³ at the end."
+)
 
 
 def painter(mud):
@@ -117,7 +119,7 @@ pictures = [
     for mesh, layer in zip(meshes, layers, strict=True)
 ]
 
-fig = plt.figure(figsize=(8.0, 5.0))
+fig = plt.figure(figsize=(7.2, 4.5))
 ax = fig.add_axes((0, 0, 1, 1))
 ax.set_axis_off()
 image = ax.imshow(pictures[6])
