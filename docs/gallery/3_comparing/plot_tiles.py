@@ -30,7 +30,7 @@ fig, axes = plt.subplots(1, 4, figsize=(11, 3.3), layout="constrained")
 for ax, level, tiles in zip(axes, summary.levels, zooms, strict=True):
     for tile in tiles:
         seen = rtin.to_triangulation(tile)
-        ax.tripcolor(seen, tile.vertices[:, 2], cmap="gist_earth", vmin=0, vmax=1200)
+        ax.tripcolor(seen, tile.vertices[:, 2], cmap="YlGn", vmin=200, vmax=1500)
         ax.triplot(seen, color="#33414d", linewidth=0.2)
         (west, south, _), (east, north, _) = tile.bounds
         ax.plot([west, east, east, west, west], [south, south, north, north, south], "k", lw=0.9)

@@ -18,9 +18,9 @@ grid = samples.jacksboro_fault().in_metres()
 terrain = as_terrain(grid)
 views = flight(grid, terrain.place, 120, exaggeration=2.0)[:24]
 look = Settings("triangle budget", max_triangles=5000, wireframe=True, exaggeration=2.0)
-pictures = [picture(terrain, view, settings=look, size=(800, 450)) for view in views]
+pictures = [picture(terrain, view, settings=look, size=(810, 450)) for view in views]
 
-fig = plt.figure(figsize=(8.0, 4.5))
+fig = plt.figure(figsize=(7.2, 4.0))
 ax = fig.add_axes((0, 0, 1, 1))
 ax.set_axis_off()
 image = ax.imshow(pictures[0])

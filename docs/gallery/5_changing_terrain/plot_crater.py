@@ -63,11 +63,11 @@ painters = usual_painters(meshes[-1], None)  # one scale of colours for all
 view = View((0.0, -62.0, 38.0), (0.0, -9.0, 0.0), field_of_view=54.0)
 look = Settings(wireframe=True, exaggeration=1.5)
 pictures = [
-    picture(Terrain(mesh, place=place, painters=painters), view, settings=look, size=(880, 500))
+    picture(Terrain(mesh, place=place, painters=painters), view, settings=look, size=(800, 500))
     for mesh in meshes
 ]
 
-fig = plt.figure(figsize=(8.8, 5.0))
+fig = plt.figure(figsize=(7.2, 4.5))
 ax = fig.add_axes((0, 0, 1, 1))
 ax.set_axis_off()
 image = ax.imshow(pictures[-1])

@@ -119,7 +119,7 @@ pictures = [
     for mesh, layer in zip(meshes, layers, strict=True)
 ]
 
-fig = plt.figure(figsize=(8.0, 5.0))
+fig = plt.figure(figsize=(7.2, 4.5))
 ax = fig.add_axes((0, 0, 1, 1))
 ax.set_axis_off()
 image = ax.imshow(pictures[6])

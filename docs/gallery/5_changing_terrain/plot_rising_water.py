@@ -25,7 +25,7 @@ def flooded(ground, level, source):
 
 
 def rise(lod, ground, level, source):
-    """Fill the lake to a level; return which samples are under water."""
+    """Fill the lake to a higher level; return which samples are under water."""
     wet = flooded(ground, level, source)
     (patch,) = find_objects(wet.astype(int))
     lod.update(*patch, np.where(wet, level, ground)[patch])
@@ -75,7 +75,7 @@ pictures = [
     for mesh, wet in zip(meshes, lakes, strict=True)
 ]
 
-fig = plt.figure(figsize=(8.0, 5.0))
+fig = plt.figure(figsize=(7.2, 4.5))
 ax = fig.add_axes((0, 0, 1, 1))
 ax.set_axis_off()
 image = ax.imshow(pictures[-1])
