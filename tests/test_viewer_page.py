@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import rtin
-from test_html_page import CHROMIUM, FLAGS, pixels, terrain_share
+from film import as_shown
+from test_html_page import CHROMIUM, FLAGS, pixels
 
 pytest.importorskip("viser")
 
@@ -39,6 +40,11 @@ def hills(shape=(129, 200), step=30.0):
     noise = np.random.default_rng(1).normal(size=shape)
     heights = 300.0 + 250.0 * np.sin(row / 17) * np.cos(col / 23) + 8.0 * noise
     return rtin.Grid(heights.astype("f4"), (step, 0.0, 4e5, 0.0, -step, 5e6))
+
+
+def painted_in(colour):
+    """A painter that knows one colour."""
+    return lambda mesh: np.tile(colour, (mesh.n_vertices, 1))
 
 
 @pytest.fixture(scope="module")
@@ -238,11 +244,10 @@ def test_a_mesh_is_shown_as_it_is():
 
 
 def test_the_colours_are_those_that_a_painter_gives():
-    reds = lambda mesh: np.tile([1.0, 0.5, 0.0], (mesh.n_vertices, 1))  # noqa: E731
-    painted = Terrain(hills((9, 9)), painters={"red": reds})
+    painted = Terrain(hills((9, 9)), painters={"brown": painted_in((0.7, 0.5, 0.2))})
     colours = decoded(painted.draw(OVERVIEW, Settings()).glb)[2]
-    half = round(65535 * ((0.5 + 0.055) / 1.055) ** 2.4)
-    assert np.array_equal(np.unique(colours, axis=0), [[65535, half, 0, 65535]])
+    assert np.unique(colours[:, 3]) == [65535]
+    assert np.allclose(as_shown(colours), np.multiply(255.0, [0.7, 0.5, 0.2]), atol=0.5)
 
 
 def test_slopes_towards_the_light_are_brighter():
@@ -439,8 +444,21 @@ def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
     tab.tab.wait_for_timeout(500)
     bare = shown(tab)
     tab.assert_clean()
-    assert terrain_share(picture) > 0.2
-    assert terrain_share(bare) < 0.01
+    assert np.mean(np.abs(picture - bare).max(axis=2) > 15) > 0.2
+
+
+def test_the_page_shows_colours_as_they_are(browser):
+    level = rtin.Grid(np.zeros((9, 9)), (10.0, 0.0, 0.0, 0.0, -10.0, 0.0))
+    patches = [(0.7, 0.5, 0.2), (0.1, 0.3, 0.25), (0.9, 0.92, 0.93)]
+    plates = [Terrain(level, painters={"one": painted_in(colour)}) for colour in patches]
+    with pages.Page(plates[0], port=0) as page:
+        tab = Tab(browser, page)
+        for plate, colour in zip(plates, patches, strict=True):
+            page.replace(plate)
+            tab.until(lambda plate=plate: tab.visitor._drawn[0] is plate)
+            seen = np.median(shown(tab)[100:140, 200:], axis=(0, 1))
+            assert np.abs(seen - np.multiply(255.0, colour)).max() < 2.0
+        tab.tab.close()
 
 
 def test_the_slider_of_the_pixel_error_changes_the_triangles(tab):
@@ -618,8 +636,8 @@ def test_the_command_tells_that_viser_is_missing(tmp_path):
 
 def write_photo(path):
     """A picture without a place: its west half is red, its east half blue."""
-    picture = np.zeros((20, 40, 3), np.uint8)
-    picture[:, :20, 0] = picture[:, 20:, 2] = 255
+    picture = np.full((20, 40, 3), 50, np.uint8)
+    picture[:, :20, 0] = picture[:, 20:, 2] = 180
     Image.fromarray(picture).save(path)
 
 
@@ -637,7 +655,8 @@ def test_what_is_opened_has_its_colours(tmp_path):
         positions, _, colours[name], _ = decoded(glb)
     assert len({values.tobytes() for values in colours.values()}) == 4
     west = positions[:, 0] < -5.0
-    assert np.allclose(colours["orthophoto"][west], (255, 0, 0), atol=3)  # a JPEG's red
+    # A JPEG's red.
+    assert np.allclose(as_shown(colours["orthophoto"][west]), (180, 50, 50), atol=4)
 
 
 def test_a_mesh_that_is_opened_has_its_colours(tmp_path):

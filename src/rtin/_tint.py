@@ -6,7 +6,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-__all__ = ["heat", "hillshade", "linear", "relief", "slopes", "tint"]
+__all__ = ["encoded", "heat", "hillshade", "linear", "relief", "slopes", "tint"]
 
 # Muted, as on a printed relief map: (part of the way up, red, green, blue), sRGB in 0..1.
 _LAND = np.array(
@@ -98,6 +98,11 @@ def relief(
 def linear(colours: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return sRGB ``colours`` in 0..1 as linear ones, as glTF wants vertex colours."""
     return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
+def encoded(colours: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return linear ``colours`` in 0..1 as sRGB ones."""
+    return np.where(colours <= 0.0031308, 12.92 * colours, 1.055 * colours ** (1.0 / 2.4) - 0.055)
 
 
 def _ramp(stops: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:

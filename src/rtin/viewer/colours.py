@@ -20,6 +20,7 @@ from rtin import _tint
 from rtin._raster import moved, widened
 from rtin.grid import Grid, places_in, require_grid
 from rtin.mesh import TriangleMesh
+from rtin.viewer._film import picture_before_film
 from rtin.viewer._photos import Photo
 from rtin.viewer.opening import Opened
 
@@ -82,11 +83,9 @@ class Drape:
 
     @cached_property
     def jpeg(self) -> bytes:
-        """The picture as a JPEG, encoded once."""
-        from PIL import Image
-
+        """The picture as a JPEG for a page, before its film; encoded once."""
         file = io.BytesIO()
-        Image.fromarray(self.image).save(file, "JPEG", quality=_QUALITY)
+        picture_before_film(self.image).save(file, "JPEG", quality=_QUALITY)
         return file.getvalue()
 
     def _places(self, points: ArrayLike) -> _Floats:

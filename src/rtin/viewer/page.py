@@ -22,8 +22,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtin._listening import address, listening
-from rtin.viewer.scene import SIDE, Picture, Settings, Terrain, View
+from rtin.viewer.scene import HORIZON, SIDE, SKY, Picture, Settings, Terrain, View
 
 try:
     import rich
@@ -247,6 +250,7 @@ class Page:
         self._server.gui.set_panel_label(title)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.scene.configure_default_lights(enabled=False, cast_shadow=False)
+        self._server.scene.set_background_image(_sky(), format="png")
         self._look_over()
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._forget)
@@ -293,6 +297,13 @@ class Page:
         while self.visitors:
             self.visitors.popitem()[1].leave()
         await asyncio.sleep(0)  # each of the tasks that were cancelled ends
+
+
+def _sky() -> NDArray[np.uint8]:
+    """Return a picture of the sky, shape (256, 2, 3)."""
+    down = np.linspace(0.0, 1.0, 256)[:, np.newaxis, np.newaxis]
+    colours = np.multiply(SKY, 1.0 - down) + np.multiply(HORIZON, down)
+    return np.asarray(np.rint(np.repeat(colours, 2, axis=1)), np.uint8)
 
 
 def _started(host: str, port: int) -> viser.ViserServer:

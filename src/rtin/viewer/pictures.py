@@ -18,7 +18,7 @@ from rtin.viewer._offscreen import require_renderer
 from rtin.viewer.cameras import overlook
 from rtin.viewer.colours import Drape, hillshade
 from rtin.viewer.opening import mesh_in_metres
-from rtin.viewer.scene import LIFT, Settings, Shown, Terrain, View, usual_painters
+from rtin.viewer.scene import HORIZON, LIFT, SKY, Settings, Shown, Terrain, View, usual_painters
 
 __all__ = ["as_terrain", "picture", "record", "require_film_path", "require_still_path", "snapshot"]
 
@@ -29,7 +29,6 @@ SIZE = (1280, 720)
 _LARGEST = 8192  # pixels a side
 _STILLS = (".png", ".jpg", ".jpeg")
 _FILMS = (".mp4", ".gif")
-_SKY, _HORIZON = "#b9cfe4", "#f5f3ee"
 _INK = (0.13, 0.15, 0.2)
 _NEAR_EDGE = 1.0  # pixels: the width of edges
 
@@ -186,7 +185,7 @@ class _Stage:
         self._drape: Drape | None = None
         self._its_texture: Any = None
         self._plotter: Any = self._pyvista.Plotter(off_screen=True, window_size=[width, height])
-        self._plotter.set_background(_HORIZON, top=_SKY)
+        self._plotter.set_background(HORIZON, top=SKY)
         self._plotter.enable_anti_aliasing("ssaa")
 
     def draw(self, terrain: Terrain, view: View, settings: Settings) -> _Image:

@@ -19,13 +19,16 @@ from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.lod import LevelOfDetail, frustum
 from rtin.mesh import TriangleMesh
+from rtin.viewer._film import BRIGHTNESS, before_film
 from rtin.viewer.colours import Drape, Painter, by_error, by_height, hillshade, orthophoto
 from rtin.viewer.opening import Opened
 
 __all__ = [
+    "HORIZON",
     "LIFT",
     "MOST_TRIANGLES",
     "SIDE",
+    "SKY",
     "Picture",
     "Place",
     "Settings",
@@ -43,6 +46,7 @@ _WIDEST = 150.0  # degrees
 LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
 MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
 _SHADE = 0.3  # of the colour: what is left where no light falls
+SKY, HORIZON = (185, 207, 228), (245, 243, 238)  # sRGB of what is behind, above and below
 _INK = [0.02, 0.03, 0.05, 1.0]
 
 
@@ -299,7 +303,7 @@ def _glb(shown: Shown, lift: float) -> bytes:
     if shown.edges is not None:
         attributes["edges"] = shown.edges.astype("<u4").ravel()
     if drape is None:
-        attributes["COLOR_0"] = _sixteen_bits(_tint.linear(shown.painter(shown.mesh)))
+        attributes["COLOR_0"] = _sixteen_bits(before_film(shown.painter(shown.mesh)))
     else:
         uv = drape.texture_coordinates(shown.mesh.vertices)
         attributes["TEXCOORD_0"] = np.rint(65535.0 * uv).astype("<u2")
@@ -307,7 +311,10 @@ def _glb(shown: Shown, lift: float) -> bytes:
 
     def finish(tree: dict[str, Any]) -> None:
         tree["extensionsUsed"] = ["KHR_materials_unlit"]
-        tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+        material = tree["materials"][0]
+        material["extensions"] = {"KHR_materials_unlit": {}}
+        # More than glTF allows in a file; three.js takes it.
+        material["pbrMetallicRoughness"]["baseColorFactor"] = [BRIGHTNESS] * 3 + [1.0]
         if drape is not None:
             _gltf.lay_over(tree, "jpeg", len(drape.jpeg))
         if shown.edges is not None:
