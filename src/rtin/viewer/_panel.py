@@ -126,8 +126,9 @@ def told(picture: Picture, settings: Settings, frame_seconds: float, note: str =
     if picture.is_cut_short:
         lines.append("as many as the page draws")
     if picture.kept is not None:
-        unit = "in height" if settings.mode == "tolerance" else "pixels"
-        lines.append(f"within {picture.kept:.3g} {unit}")
+        kept = f"{picture.kept:.3g}"
+        is_height = settings.mode == "tolerance"
+        lines.append(f"within {kept} in height" if is_height else f"pixel error {kept}")
     times = f"mesh {1e3 * picture.mesh_seconds:.1f} ms, frame {1e3 * frame_seconds:.0f} ms"
     return "  \n".join([*lines, times, *filter(None, [note])])
 
