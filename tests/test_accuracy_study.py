@@ -129,23 +129,6 @@ def test_what_can_not_take_the_terrain_is_noted():
     assert accuracy.verdict(found) == []
 
 
-def test_degrees_become_metres_around_the_middle():
-    grid = part_of_jacksboro(41, 61)
-    metres = accuracy.in_metres(grid)
-    assert metres.crs is None
-    assert metres.heights is grid.heights or np.array_equal(metres.heights, grid.heights)
-    a, b, _, d, e, _ = tuple(metres.transform)[:6]
-    assert (b, d) == (0.0, 0.0)
-    assert a == pytest.approx(74.6, abs=0.3)  # at 36.7 degrees north
-    assert e == pytest.approx(-92.5, abs=0.3)
-    assert np.allclose(metres.places(np.zeros((1, 2))), [[20, 30]])
-
-
-def test_what_is_not_in_degrees_stays():
-    for grid in (rtin.Grid(terrains.waves((5, 5))), rtin.Grid(terrains.waves((5, 5)), crs=32633)):
-        assert accuracy.in_metres(grid) is grid
-
-
 def test_the_close_up_is_the_part_with_the_most_relief():
     heights = np.zeros((150, 200))
     heights[70:75, 130:140] = np.arange(50.0).reshape(5, 10)

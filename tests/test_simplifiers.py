@@ -204,11 +204,9 @@ def test_the_unit_of_length_changes_no_more_than_the_order_of_ties(name):
 @pytest.mark.parametrize("name", ["quadric", "vtk-quadric", "angle-merge"])
 def test_degrees_count_as_metres(name):
     grid = GRIDS["degrees"]
-    from rtin.studies.accuracy import in_metres
-
     error, of_metres = (
         rtin.vertical_error(made(one, name, max_vertices=300).mesh, one).rms
-        for one in (grid, in_metres(grid))
+        for one in (grid, grid.in_metres())
     )
     assert of_metres == pytest.approx(error, rel=0.05)
 

@@ -21,11 +21,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 
 from rtin import samples
-from rtin._crs import metres_per_unit
 from rtin._raster import moved
 from rtin.coarsening import coarsen
 from rtin.distance import compare
@@ -55,7 +53,6 @@ __all__ = [
     "Study",
     "as_text",
     "close_up",
-    "in_metres",
     "measure",
     "names_with",
     "rows_of",
@@ -180,22 +177,6 @@ def _jacksboro() -> Grid:
     return Grid(grid.heights[:257, :257], grid.transform, grid.crs)
 
 
-def in_metres(grid: Grid) -> Grid:
-    """Return the grid with x and y in metres around its middle, if they are degrees.
-
-    Distances in space need one unit for x, y and z. Any other grid comes back as it is: its x and y
-    are taken to be in the unit of its heights.
-    """
-    if grid.crs is None or not grid.crs.is_geographic:
-        return grid
-    rows, cols = grid.shape
-    centre = moved(grid.transform, (rows - 1) / 2, (cols - 1) / 2)
-    east, north = metres_per_unit(grid.crs, centre.f)
-    a, b, x, d, e, y = tuple(grid.transform)[:6]
-    x, y = (x - centre.c) * east, (y - centre.f) * north
-    return Grid(grid.heights, Affine(a * east, b * east, x, d * north, e * north, y))
-
-
 def _steepest_part(grid: Grid) -> Grid:
     """Return the 65² samples, of those side by side from the corner on, with the most relief."""
     rows, cols = grid.shape
@@ -253,7 +234,7 @@ def measure(
     ValueError
         If a terrain has no relief or too few samples.
     """
-    terrain = in_metres(_jacksboro() if grid is None else grid)
+    terrain = (_jacksboro() if grid is None else grid).in_metres()
     relief = _relief(terrain.heights)
     if relief == 0.0:
         raise ValueError("a terrain with some relief is wanted, got one height everywhere")
@@ -296,7 +277,7 @@ def _metro(terrain: Grid, mesh: TriangleMesh) -> Metro:
 
 def close_up(grid: Grid | None = None) -> Close:
     """Return figure 5: the steepest 65² samples of a terrain, coarsened."""
-    part = _steepest_part(in_metres(_jacksboro() if grid is None else grid))
+    part = _steepest_part((_jacksboro() if grid is None else grid).in_metres())
     count = round(FIGURE_5["n_vertices"] * part.n_samples / FIGURE_5["n_samples"])
     return Close(
         grid=part,
