@@ -317,7 +317,7 @@ class LevelOfDetail:
         parts_of_bounds: list[_Part],
     ) -> None:
         """Renew parts of a generation: own errors where a patch matters, and bounds."""
-        from rtin._kernels.lod import renew_bounds, renew_own
+        from rtin._kernels.hierarchy import renew_bounds, renew_own
 
         common, found = (self._heights, self._layout), (self._own, self._wholes)
         _parallel.run(renew_own, [(*common, patch, level, kind, *part, *found) for part in parts])
@@ -556,7 +556,7 @@ class _Search:
 
 
 def _layout(shape: tuple[int, int]) -> NDArray[np.int64]:
-    """Return where each generation is kept, as ``_kernels.lod`` says: coarsest first."""
+    """Return where each generation is kept, as ``_kernels.hierarchy`` says: coarsest first."""
     size = lattice_size(shape)
     n_levels = size.bit_length() - 1
     layout = np.zeros((n_levels, 6), np.int64)

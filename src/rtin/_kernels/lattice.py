@@ -22,7 +22,9 @@ column of its apex, and its direction; direction 4 means the vertex itself, 5 th
 triangles whose hypotenuse it bisects.
 """
 
-from rtin._kernels._jit import jit
+import numpy as np
+
+from rtin._kernels._jit import inlined, jit
 
 VERTEX, SQUARE = 4, 5
 
@@ -44,6 +46,14 @@ def unpacked(item):
 def rows_of(items):
     """Rows of an array of packed triangles or vertices."""
     return items >> 34
+
+
+@inlined
+def height_at(heights, row, col):
+    """The height of a sample of the lattice; NaN beyond the raster."""
+    if row < heights.shape[0] and col < heights.shape[1]:
+        return np.float64(heights[row, col])
+    return np.nan
 
 
 @jit

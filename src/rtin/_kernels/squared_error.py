@@ -25,6 +25,7 @@ from rtin._kernels.coarsening import keep_with_closure, triangles_gained, undo, 
 from rtin._kernels.lattice import (
     VERTEX,
     apexes,
+    height_at,
     is_inside,
     is_unit,
     midpoint,
@@ -53,14 +54,6 @@ def products_of_hats(n_depths):
         apex_apex[depth], apex_end[depth] = aa, ae
         aa, ae, ee, ef = 2.0 * ee, ef + ae, ee + ae + aa / 2, ae + aa / 2
     return apex_apex, apex_end
-
-
-@jit
-def height_at(heights, row, col):
-    """Height of a sample of the lattice; NaN beyond the raster."""
-    if row < heights.shape[0] and col < heights.shape[1]:
-        return np.float64(heights[row, col])
-    return np.nan
 
 
 @jit
