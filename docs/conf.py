@@ -48,6 +48,7 @@ napoleon_use_rtype = False
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",
     "gallery_dirs": "auto_gallery",
+    "backreferences_dir": "auto_gallery/backreferences",
     "filename_pattern": r"/plot_",
     "download_all_examples": False,
     "show_memory": False,
@@ -66,6 +67,7 @@ sphinx_gallery_conf = {
 
 html_theme = "furo"
 html_title = "rtin"
+html_theme_options = {"light_css_variables": {"code-font-size": "76%"}}  # for 90 columns
 html_static_path: list[str] = []
 html_show_sphinx = False
 html_copy_source = False
