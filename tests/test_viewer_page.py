@@ -30,6 +30,7 @@ from rtin.viewer.opening import Opening
 from rtin.viewer.scene import SIDE, Place, Settings, Terrain, View
 from test_serve import interrupted, started
 
+_CALM = 5  # times 50 ms: how long a camera rests before it is taken to stay
 OVERVIEW = View((0.0, -75.0, 55.0), (0.0, -5.0, 0.0), height=600)
 
 
@@ -327,6 +328,20 @@ def until(condition, seconds=60.0):
         time.sleep(0.02)
 
 
+@pytest.mark.parametrize("exaggeration", [1.0, 4.0])
+def test_all_of_a_tall_terrain_is_seen_at_first(exaggeration):
+    heights = 8.0 * hills((33, 33)).heights
+    tall = Terrain(rtin.Grid(heights, (30.0, 0.0, 0.0, 0.0, -30.0, 0.0)))
+    with pages.Page(tall, port=0, settings=Settings(exaggeration=exaggeration)) as page:
+        camera = page._server.initial_camera
+        first = View(tuple(camera.position), tuple(camera.look_at))
+        reach = np.linalg.norm(np.subtract(first.eye, first.target))
+        assert reach < camera.far / 2.0
+    (west, south, low), (east, north, high) = tall.bounds
+    corners = [(x, y, z) for x in (west, east) for y in (south, north) for z in (low, high)]
+    assert inside(first, tall.place.into_scene(corners, exaggeration)).all()
+
+
 # --- in a browser ---------------------------------------------------------------------------------
 
 
@@ -385,12 +400,23 @@ class Tab:
         return int(text.removesuffix(" triangles").replace(" ", ""))
 
     def settled(self):
-        """Return the number of triangles once it does not change any more."""
-        seen = [-2, -1]
-        while seen[-1] != seen[-2]:
-            self.tab.wait_for_timeout(400)
-            seen.append(self.n_triangles)
-        return seen[-1]
+        """Return the number of triangles once it does not change any more.
+
+        The camera must rest for some frames, as it glides on when the mouse is still; what it sees
+        then must have been drawn; and the tab must tell so.
+        """
+        calm, seen = 0, None
+        while calm < _CALM:
+            self.tab.wait_for_timeout(50)
+            now = pages._view(self.visitor.client.camera), self.visitor.panel.settings
+            is_drawn = self.visitor._drawn == self.visitor._page.terrain.depends_on(*now)
+            calm, seen = (calm + 1 if is_drawn and now == seen else 0), now
+        self.until(lambda: self.n_triangles == self.visitor.picture.n_triangles)
+        return self.n_triangles
+
+    @property
+    def eye(self):
+        return tuple(self.visitor.client.camera.position)
 
     def choose(self, label, option):
         self.tab.get_by_label(label, exact=True).first.click()
@@ -400,16 +426,19 @@ class Tab:
         """Push a key on the slider of the level of detail: the first that is to be seen."""
         slider = self.tab.get_by_role("slider").locator("visible=true").first
         slider.focus()
+        before = self.visitor.panel.settings
         for _ in range(times):
             slider.press(key)
+        self.until(lambda: self.visitor.panel.settings != before)
 
     def drag(self, right, down):
         """Turn the camera, at the lower left where nothing else is."""
-        mouse = self.tab.mouse
+        mouse, before = self.tab.mouse, self.eye
         mouse.move(150, 300)
         mouse.down()
         mouse.move(150 + right, 300 + down, steps=5)
         mouse.up()
+        self.until(lambda: self.eye != before)
 
     def assert_clean(self):
         assert self.complaints == []
@@ -427,7 +456,7 @@ def tab(browser, page):
 def shown(tab):
     """The lower left of what the tab shows, where the terrain is."""
     tab.settled()
-    tab.tab.wait_for_timeout(500)
+    tab.tab.wait_for_timeout(300)  # two frames of a browser without a GPU
     return pixels(tab.tab)[200:, :300]
 
 
@@ -436,7 +465,6 @@ def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
     assert tab.n_triangles == tab.visitor.picture.n_triangles
     for node in tab.visitor._nodes:
         node.visible = False
-    tab.tab.wait_for_timeout(500)
     bare = shown(tab)
     tab.assert_clean()
     assert terrain_share(picture) > 0.2
@@ -446,9 +474,9 @@ def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
 def test_the_slider_of_the_pixel_error_changes_the_triangles(tab):
     before = tab.settled()
     tab.push("ArrowRight", 8)  # from 1 to 3 pixels
+    tab.until(lambda: tab.visitor.panel.settings.pixel_error == 3.0)
     after = tab.settled()
     tab.assert_clean()
-    assert tab.visitor.panel.settings.pixel_error == 3.0
     assert after < before / 2
 
 
@@ -466,11 +494,11 @@ def test_the_slider_of_the_tolerance_changes_the_triangles(tab):
 
 
 def test_the_camera_changes_the_mesh(tab):
-    before, glb = tab.settled(), tab.visitor.picture.glb
+    before, glb, eye = tab.settled(), tab.visitor.picture.glb, tab.eye
     tab.tab.mouse.move(150, 300)
     for _ in range(8):
         tab.tab.mouse.wheel(0, -400)
-        tab.tab.wait_for_timeout(50)
+    tab.until(lambda: tab.eye != eye)
     assert tab.settled() != before
     near = tab.visitor.picture.glb
     tab.drag(80, 30)
@@ -517,6 +545,7 @@ def test_two_tabs_are_independent(browser, page, tab):
     before = tab.settled()
     assert other.settled() == before
     other.push("ArrowRight", 8)
+    other.until(lambda: other.visitor.panel.settings.pixel_error == 3.0)
     assert other.settled() < before / 2
     assert tab.settled() == before
     assert len(page.visitors) == 2
@@ -553,10 +582,15 @@ def test_another_terrain_takes_the_place_of_the_first(browser):
         before = tab.settled()
         page.replace(Terrain(hills(), place=coarse.place))
         after = tab.settled()
+        tab.choose("By", "tolerance")
+        tab.until(lambda: tab.visitor.panel.settings.mode == "tolerance")
+        tab.push("End")
+        largest = tab.visitor.panel.settings.max_error
         tab.tab.close()
     page.replace(coarse)  # nobody is there any more
     tab.assert_clean()
     assert after > 10 * before
+    assert largest == pytest.approx(0.1 * np.ptp(hills().heights))
 
 
 # --- the command ----------------------------------------------------------------------------------
