@@ -363,6 +363,12 @@ def page(terrain):
         yield page
 
 
+@pytest.fixture
+def own_page(terrain):
+    with pages.Page(terrain, port=0) as page:
+        yield page
+
+
 class Tab:
     """A tab that looks at a page, and the server's visitor for it."""
 
@@ -381,6 +387,21 @@ class Tab:
         self.visitor = page.visitors[self.number]
         self.until(lambda: self.visitor.picture is not None)
         self.tab.wait_for_selector("text=triangles")
+        self.first = self.visitor.panel.settings, self.eye, self.target
+
+    def restore(self):
+        """Put controls and camera back to where they were at first."""
+        chosen, eye, target = self.first
+        self.visitor._flies.value = False
+        for name, control in self.visitor.panel._controls.items():
+            if control.value != getattr(chosen, name):
+                control.value = getattr(chosen, name)
+        if (self.eye, self.target) != (eye, target):
+            camera = self.visitor.client.camera
+            camera.position, camera.look_at = eye, target
+        self.settled()
+        assert self.visitor.panel.settings == chosen
+        assert np.allclose([self.eye, self.target], [eye, target], atol=1e-3)
 
     def _hear(self, message):
         if message.type == "error":
@@ -418,6 +439,10 @@ class Tab:
     def eye(self):
         return tuple(self.visitor.client.camera.position)
 
+    @property
+    def target(self):
+        return tuple(self.visitor.client.camera.look_at)
+
     def choose(self, label, option):
         self.tab.get_by_label(label, exact=True).first.click()
         self.tab.get_by_role("option", name=option).click()
@@ -446,11 +471,19 @@ class Tab:
         assert [url for url in self.asked if not (url + "/").startswith(ours)] == []
 
 
-@pytest.fixture
-def tab(browser, page):
+@pytest.fixture(scope="module")
+def the_tab(browser, page):
     tab = Tab(browser, page)
     yield tab
     tab.tab.close()
+
+
+@pytest.fixture
+def tab(the_tab):
+    """A tab as it is at first; one for all tests, as opening takes a second and a half."""
+    yield the_tab
+    the_tab.complaints.clear()
+    the_tab.restore()
 
 
 def shown(tab):
@@ -540,32 +573,33 @@ def test_a_flight_moves_the_camera_until_it_is_ended(tab):
     assert np.array_equal(tab.visitor.client.camera.position, there)
 
 
-def test_two_tabs_are_independent(browser, page, tab):
-    other = Tab(browser, page)
+def test_two_tabs_are_independent(browser, own_page):
+    tab, other = Tab(browser, own_page), Tab(browser, own_page)
     before = tab.settled()
     assert other.settled() == before
     other.push("ArrowRight", 8)
     other.until(lambda: other.visitor.panel.settings.pixel_error == 3.0)
     assert other.settled() < before / 2
     assert tab.settled() == before
-    assert len(page.visitors) == 2
+    assert len(own_page.visitors) == 2
     other.tab.close()
-    tab.until(lambda: list(page.visitors) == [tab.number])
+    tab.until(lambda: list(own_page.visitors) == [tab.number])
     tab.push("ArrowRight", 4)
     assert tab.settled() < before
     tab.assert_clean()
     other.assert_clean()
+    tab.tab.close()
 
 
-def test_a_tab_that_is_closed_leaves_nothing_behind(browser, page, caplog):
-    tab = Tab(browser, page)
+def test_a_tab_that_is_closed_leaves_nothing_behind(browser, own_page, caplog):
+    tab = Tab(browser, own_page)
     tab.tab.get_by_label("Fly round").click()
     tab.until(lambda: tab.visitor._flight is not None)
     left = [weakref.ref(tab.visitor), weakref.ref(tab.visitor.client)]
     left += [weakref.ref(tab.visitor._newest._task), weakref.ref(tab.visitor._flight)]
     tab.tab.close()
     tab.visitor = None
-    until(lambda: not page.visitors)
+    until(lambda: not own_page.visitors)
 
     def is_gone():
         gc.collect()
