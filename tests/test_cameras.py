@@ -136,7 +136,7 @@ def test_views_of_the_world_are_put_into_the_scene():
 def test_north_is_up_in_a_view_straight_down_or_up(above):
     terrain = as_terrain(rough())
     middle = terrain.place.middle
-    view = cameras.seen_from(terrain.place, middle + [0.0, 0.0, above * 5000.0], middle)
+    view = cameras.seen_from(terrain.place, middle + np.array([0.0, 0.0, above * 5000.0]), middle)
     assert view.up == (0.0, 1.0, 0.0)
     assert terrain.draw(view, Settings()).n_triangles > 0
 

@@ -339,6 +339,19 @@ def test_pyvista_is_named_where_it_is_missing(monkeypatch):
         pictures.picture(bumpy())
 
 
+@needs_renderer
+@pytest.mark.parametrize(
+    ("missing", "name"), [("imageio", "a.gif"), ("imageio", "a.mp4"), ("imageio_ffmpeg", "a.mp4")]
+)
+def test_imageio_and_its_ffmpeg_are_named_where_they_are_missing(
+    terrain, tmp_path, monkeypatch, missing, name
+):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ImportError, match=rf"films need imageio .*{missing}.*rtin\[view\]"):
+        pictures.record(terrain, tmp_path / name, cameras.orbit(2), size=SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
 # --- with nothing to draw with --------------------------------------------------------------------
 
 

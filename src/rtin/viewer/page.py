@@ -22,6 +22,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numpy as np
+
 from rtin._listening import address, listening
 from rtin.viewer.cameras import overlook
 from rtin.viewer.scene import SIDE, Picture, Settings, Terrain, View
@@ -283,7 +285,7 @@ class Page:
         first = overlook(self.terrain, self.settings.exaggeration)
         self.reach = max(_FAR, _FURTHER * math.dist(first.eye, first.target))
         camera = self._server.initial_camera
-        camera.position, camera.look_at = first.eye, first.target
+        camera.position, camera.look_at = np.array(first.eye), np.array(first.target)
         camera.fov, camera.near, camera.far = math.radians(first.field_of_view), _NEAR, self.reach
 
     async def _welcome(self, client: viser.ClientHandle) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -272,11 +273,15 @@ class _Stage:
 
 
 def _film(path: Path, frames_per_second: float) -> Any:  # noqa: ANN401  (imageio is an extra)
+    is_gif = path.suffix.lower() == ".gif"
     try:
         import imageio
+
+        if not is_gif:
+            import_module("imageio_ffmpeg")  # imageio tells of it in its own way, at length
     except ImportError as error:
         raise ImportError(f"films need imageio ({error}): pip install 'rtin[view]'") from None
-    if path.suffix.lower() == ".gif":
+    if is_gif:
         return imageio.get_writer(path, duration=1000.0 / frames_per_second, loop=0)
     options: dict[str, Any] = {"macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}
     return imageio.get_writer(path, fps=frames_per_second, **options)
