@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import rtin
 from rtin.viewer import cameras
 from rtin.viewer.pictures import as_terrain
-from rtin.viewer.scene import SIDE, Place, Terrain, bounds_of
+from rtin.viewer.scene import SIDE, Place, Settings, Terrain, bounds_of
 
 
 def rough(shape=(40, 65), seed=3, step=25.0, roughness=200.0):
@@ -133,6 +133,15 @@ def test_views_of_the_world_are_put_into_the_scene():
     view = cameras.seen_from(place, eye, target, exaggeration=2.0)
     assert np.allclose(place.into_world(view.eye, 2.0), eye)
     assert np.allclose(view.target, 0.0)
+
+
+@pytest.mark.parametrize("above", [1.0, -1.0])
+def test_north_is_up_in_a_view_straight_down_or_up(above):
+    terrain = as_terrain(rough())
+    middle = terrain.place.middle
+    view = cameras.seen_from(terrain.place, middle + np.array([0.0, 0.0, above * 5000.0]), middle)
+    assert view.up == (0.0, 1.0, 0.0)
+    assert terrain.draw(view, Settings()).n_triangles > 0
 
 
 @pytest.mark.parametrize("n", [0, -3])

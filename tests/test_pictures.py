@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -217,6 +218,15 @@ def test_the_pictures_of_a_film_are_those_of_its_views(terrain, tmp_path, name):
 
 
 @needs_renderer
+def test_an_extension_in_capitals_is_the_same_film(terrain, tmp_path):
+    """The pace and the endless repetition too, not only the format."""
+    for name in ("small.gif", "CAPITALS.GIF"):
+        pictures.record(terrain, tmp_path / name, cameras.orbit(3), size=(40, 30))
+    small, capitals = (tmp_path / name for name in ("small.gif", "CAPITALS.GIF"))
+    assert small.read_bytes() == capitals.read_bytes()
+
+
+@needs_renderer
 def test_a_film_may_show_another_terrain_in_each_view(tmp_path):
     path = tmp_path / "rising.gif"
     terrains = (bumpy(heights=np.zeros((7, 9)) + np.arange(9) * tall) for tall in (0.0, 20.0, 60.0))
@@ -310,6 +320,12 @@ def test_a_size_is_two_whole_numbers_that_fit(size):
         pictures.picture(bumpy(), size=size)
 
 
+@pytest.mark.parametrize("size", [(1, 90), (0, 90), (160,), 160, "big"])
+def test_a_wrong_size_of_a_film_is_told_as_it_was_given(tmp_path, size):
+    with pytest.raises(ValueError, match=re.escape(f"got {size!r}")):
+        pictures.record(bumpy(), tmp_path / "a.mp4", cameras.orbit(2), size=size)
+
+
 @needs_renderer
 def test_nothing_but_terrain_is_drawn():
     with pytest.raises(TypeError, match="is wanted, got list"):
@@ -321,6 +337,19 @@ def test_pyvista_is_named_where_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match=r"pictures need pyvista .*rtin\[view\]"):
         pictures.picture(bumpy())
+
+
+@needs_renderer
+@pytest.mark.parametrize(
+    ("missing", "name"), [("imageio", "a.gif"), ("imageio", "a.mp4"), ("imageio_ffmpeg", "a.mp4")]
+)
+def test_imageio_and_its_ffmpeg_are_named_where_they_are_missing(
+    terrain, tmp_path, monkeypatch, missing, name
+):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ImportError, match=rf"films need imageio .*{missing}.*rtin\[view\]"):
+        pictures.record(terrain, tmp_path / name, cameras.orbit(2), size=SMALL)
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- with nothing to draw with --------------------------------------------------------------------
@@ -387,6 +416,25 @@ def test_the_program_writes_a_picture_and_a_film(tmp_path):
         assert file.size == SMALL
         assert shows_terrain(np.asarray(file.convert("RGB"))).mean() > 0.2
     assert len(frames(film)) == 3
+
+
+@pytest.mark.parametrize(
+    ("flag", "name", "size"), [("--snapshot", "a.png", "0x90"), ("--record", "a.mp4", "1x90")]
+)
+def test_the_program_tells_a_wrong_size_before_it_opens_anything(tmp_path, flag, name, size):
+    path = str(tmp_path / name)
+    result = CliRunner().invoke(app, ["view", "missing.npy", flag, path, "--size", size])
+    assert result.exit_code == 1
+    assert f"got ({size.replace('x', ', ')})" in result.output
+    assert result.output.count("\n") == 1
+
+
+@needs_renderer
+def test_the_program_tells_the_size_that_a_film_has(tmp_path):
+    np.save(tmp_path / "dem.npy", hills().heights)
+    command = ["view", str(tmp_path / "dem.npy"), "--record", str(tmp_path / "a.mp4")]
+    result = CliRunner().invoke(app, [*command, "--size", "41x31", "--frames", "2"])
+    assert "2 pictures of 40 × 30 pixels" in result.output
 
 
 @needs_renderer

@@ -31,6 +31,7 @@ from rtin.viewer.opening import Opening
 from rtin.viewer.scene import SIDE, Place, Settings, Terrain, View
 from test_serve import interrupted, started
 
+_CALM = 5  # times 50 ms: how long a camera rests before it is taken to stay
 OVERVIEW = View((0.0, -75.0, 55.0), (0.0, -5.0, 0.0), height=600)
 
 
@@ -332,6 +333,20 @@ def until(condition, seconds=60.0):
         time.sleep(0.02)
 
 
+@pytest.mark.parametrize("exaggeration", [1.0, 4.0])
+def test_all_of_a_tall_terrain_is_seen_at_first(exaggeration):
+    heights = 8.0 * hills((33, 33)).heights
+    tall = Terrain(rtin.Grid(heights, (30.0, 0.0, 0.0, 0.0, -30.0, 0.0)))
+    with pages.Page(tall, port=0, settings=Settings(exaggeration=exaggeration)) as page:
+        camera = page._server.initial_camera
+        first = View(tuple(camera.position), tuple(camera.look_at))
+        reach = np.linalg.norm(np.subtract(first.eye, first.target))
+        assert reach < camera.far / 2.0
+    (west, south, low), (east, north, high) = tall.bounds
+    corners = [(x, y, z) for x in (west, east) for y in (south, north) for z in (low, high)]
+    assert inside(first, tall.place.into_scene(corners, exaggeration)).all()
+
+
 # --- in a browser ---------------------------------------------------------------------------------
 
 
@@ -353,6 +368,12 @@ def page(terrain):
         yield page
 
 
+@pytest.fixture
+def own_page(terrain):
+    with pages.Page(terrain, port=0) as page:
+        yield page
+
+
 class Tab:
     """A tab that looks at a page, and the server's visitor for it."""
 
@@ -371,6 +392,21 @@ class Tab:
         self.visitor = page.visitors[self.number]
         self.until(lambda: self.visitor.picture is not None)
         self.tab.wait_for_selector("text=triangles")
+        self.first = self.visitor.panel.settings, self.eye, self.target
+
+    def restore(self):
+        """Put controls and camera back to where they were at first."""
+        chosen, eye, target = self.first
+        self.visitor._flies.value = False
+        for name, control in self.visitor.panel._controls.items():
+            if control.value != getattr(chosen, name):
+                control.value = getattr(chosen, name)
+        if (self.eye, self.target) != (eye, target):
+            camera = self.visitor.client.camera
+            camera.position, camera.look_at = eye, target
+        self.settled()
+        assert self.visitor.panel.settings == chosen
+        assert np.allclose([self.eye, self.target], [eye, target], atol=1e-3)
 
     def _hear(self, message):
         if message.type == "error":
@@ -390,12 +426,27 @@ class Tab:
         return int(text.removesuffix(" triangles").replace(" ", ""))
 
     def settled(self):
-        """Return the number of triangles once it does not change any more."""
-        seen = [-2, -1]
-        while seen[-1] != seen[-2]:
-            self.tab.wait_for_timeout(400)
-            seen.append(self.n_triangles)
-        return seen[-1]
+        """Return the number of triangles once it does not change any more.
+
+        The camera must rest for some frames, as it glides on when the mouse is still; what it sees
+        then must have been drawn; and the tab must tell so.
+        """
+        calm, seen = 0, None
+        while calm < _CALM:
+            self.tab.wait_for_timeout(50)
+            now = pages._view(self.visitor.client.camera), self.visitor.panel.settings
+            is_drawn = self.visitor._drawn == self.visitor._page.terrain.depends_on(*now)
+            calm, seen = (calm + 1 if is_drawn and now == seen else 0), now
+        self.until(lambda: self.n_triangles == self.visitor.picture.n_triangles)
+        return self.n_triangles
+
+    @property
+    def eye(self):
+        return tuple(self.visitor.client.camera.position)
+
+    @property
+    def target(self):
+        return tuple(self.visitor.client.camera.look_at)
 
     def choose(self, label, option):
         self.tab.get_by_label(label, exact=True).first.click()
@@ -405,16 +456,19 @@ class Tab:
         """Push a key on the slider of the level of detail: the first that is to be seen."""
         slider = self.tab.get_by_role("slider").locator("visible=true").first
         slider.focus()
+        before = self.visitor.panel.settings
         for _ in range(times):
             slider.press(key)
+        self.until(lambda: self.visitor.panel.settings != before)
 
     def drag(self, right, down):
         """Turn the camera, at the lower left where nothing else is."""
-        mouse = self.tab.mouse
+        mouse, before = self.tab.mouse, self.eye
         mouse.move(150, 300)
         mouse.down()
         mouse.move(150 + right, 300 + down, steps=5)
         mouse.up()
+        self.until(lambda: self.eye != before)
 
     def assert_clean(self):
         assert self.complaints == []
@@ -422,17 +476,25 @@ class Tab:
         assert [url for url in self.asked if not (url + "/").startswith(ours)] == []
 
 
-@pytest.fixture
-def tab(browser, page):
+@pytest.fixture(scope="module")
+def the_tab(browser, page):
     tab = Tab(browser, page)
     yield tab
     tab.tab.close()
 
 
+@pytest.fixture
+def tab(the_tab):
+    """A tab as it is at first; one for all tests, as opening takes a second and a half."""
+    yield the_tab
+    the_tab.complaints.clear()
+    the_tab.restore()
+
+
 def shown(tab):
     """The lower left of what the tab shows, where the terrain is."""
     tab.settled()
-    tab.tab.wait_for_timeout(500)
+    tab.tab.wait_for_timeout(300)  # two frames of a browser without a GPU
     return pixels(tab.tab)[200:, :300]
 
 
@@ -441,7 +503,6 @@ def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
     assert tab.n_triangles == tab.visitor.picture.n_triangles
     for node in tab.visitor._nodes:
         node.visible = False
-    tab.tab.wait_for_timeout(500)
     bare = shown(tab)
     tab.assert_clean()
     assert np.mean(np.abs(picture - bare).max(axis=2) > 15) > 0.2
@@ -456,7 +517,7 @@ def test_the_page_shows_colours_as_they_are(browser):
         for plate, colour in zip(plates, patches, strict=True):
             page.replace(plate)
             tab.until(lambda plate=plate: tab.visitor._drawn[0] is plate)
-            seen = np.median(shown(tab)[100:140, 200:], axis=(0, 1))
+            seen = np.median(shown(tab)[5:30, 240:290], axis=(0, 1))
             assert np.abs(seen - np.multiply(255.0, colour)).max() < 2.0
         tab.tab.close()
 
@@ -464,9 +525,9 @@ def test_the_page_shows_colours_as_they_are(browser):
 def test_the_slider_of_the_pixel_error_changes_the_triangles(tab):
     before = tab.settled()
     tab.push("ArrowRight", 8)  # from 1 to 3 pixels
+    tab.until(lambda: tab.visitor.panel.settings.pixel_error == 3.0)
     after = tab.settled()
     tab.assert_clean()
-    assert tab.visitor.panel.settings.pixel_error == 3.0
     assert after < before / 2
 
 
@@ -484,11 +545,11 @@ def test_the_slider_of_the_tolerance_changes_the_triangles(tab):
 
 
 def test_the_camera_changes_the_mesh(tab):
-    before, glb = tab.settled(), tab.visitor.picture.glb
+    before, glb, eye = tab.settled(), tab.visitor.picture.glb, tab.eye
     tab.tab.mouse.move(150, 300)
     for _ in range(8):
         tab.tab.mouse.wheel(0, -400)
-        tab.tab.wait_for_timeout(50)
+    tab.until(lambda: tab.eye != eye)
     assert tab.settled() != before
     near = tab.visitor.picture.glb
     tab.drag(80, 30)
@@ -530,31 +591,33 @@ def test_a_flight_moves_the_camera_until_it_is_ended(tab):
     assert np.array_equal(tab.visitor.client.camera.position, there)
 
 
-def test_two_tabs_are_independent(browser, page, tab):
-    other = Tab(browser, page)
+def test_two_tabs_are_independent(browser, own_page):
+    tab, other = Tab(browser, own_page), Tab(browser, own_page)
     before = tab.settled()
     assert other.settled() == before
     other.push("ArrowRight", 8)
+    other.until(lambda: other.visitor.panel.settings.pixel_error == 3.0)
     assert other.settled() < before / 2
     assert tab.settled() == before
-    assert len(page.visitors) == 2
+    assert len(own_page.visitors) == 2
     other.tab.close()
-    tab.until(lambda: list(page.visitors) == [tab.number])
+    tab.until(lambda: list(own_page.visitors) == [tab.number])
     tab.push("ArrowRight", 4)
     assert tab.settled() < before
     tab.assert_clean()
     other.assert_clean()
+    tab.tab.close()
 
 
-def test_a_tab_that_is_closed_leaves_nothing_behind(browser, page, caplog):
-    tab = Tab(browser, page)
+def test_a_tab_that_is_closed_leaves_nothing_behind(browser, own_page, caplog):
+    tab = Tab(browser, own_page)
     tab.tab.get_by_label("Fly round").click()
     tab.until(lambda: tab.visitor._flight is not None)
     left = [weakref.ref(tab.visitor), weakref.ref(tab.visitor.client)]
     left += [weakref.ref(tab.visitor._newest._task), weakref.ref(tab.visitor._flight)]
     tab.tab.close()
     tab.visitor = None
-    until(lambda: not page.visitors)
+    until(lambda: not own_page.visitors)
 
     def is_gone():
         gc.collect()
@@ -571,6 +634,12 @@ def test_another_terrain_takes_the_place_of_the_first(browser):
         before = tab.settled()
         page.replace(Terrain(hills(), place=coarse.place))
         after = tab.settled()
+        tab.choose("By", "tolerance")
+        tab.until(lambda: tab.visitor.panel.settings.mode == "tolerance")
+        tab.settled()  # the tab shows the other slider
+        tab.push("End")
+        largest = pytest.approx(0.1 * np.ptp(hills().heights))
+        tab.until(lambda: tab.visitor.panel.settings.max_error == largest)
         tab.tab.close()
     page.replace(coarse)  # nobody is there any more
     tab.assert_clean()

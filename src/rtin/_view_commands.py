@@ -96,9 +96,10 @@ def view(
             wireframe=wireframe,
         )
         if snapshot is not None or record is not None:
-            opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             points = _points(eye, target)
             out = _Out(snapshot, record, _size(size), points, path_of_film, frames)
+            _require_possible(out)
+            opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             _draw(opening, path.name, photo, settings, out)
             return
         if eye is not None or target is not None:
@@ -135,14 +136,22 @@ class _Out(NamedTuple):
     frames: int
 
 
+def _require_possible(out: _Out) -> None:
+    """Raise now what writing would raise because of paths and the size."""
+    from rtin.viewer import pictures
+
+    if out.snapshot is not None:
+        pictures.require_still_path(out.snapshot)
+        pictures.require_size(out.size)
+    if out.record is not None:
+        pictures.require_film_path(out.record)
+        pictures.film_size(out.record, out.size)
+
+
 def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, out: _Out) -> None:
     """Write a picture, a film, or both, of all that there is."""
     from rtin.viewer import cameras, pictures
 
-    if out.snapshot is not None:
-        pictures.require_still_path(out.snapshot)
-    if out.record is not None:
-        pictures.require_film_path(out.record)
     with progress(f"opening {name}"):
         opened = opening.finest()
     say_if_not_compiled("rtin.lod")
@@ -164,7 +173,8 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
             views = cameras.flight(opened.surface, place, out.frames, higher)
         with progress_bar(f"drawing {out.record}") as tell:
             pictures.record(terrain, out.record, views, settings=settings, size=out.size, tell=tell)
-        announce(f"{out.record}: {out.frames} pictures of {out.size[0]} × {out.size[1]} pixels")
+        width, height = pictures.film_size(out.record, out.size)
+        announce(f"{out.record}: {out.frames} pictures of {width} × {height} pixels")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -76,9 +76,19 @@ class Panel:
         """Put a text, in Markdown, above the controls."""
         self._told.content = text
 
+    def reach(self, height_range: float) -> None:
+        """Have the slider of the tolerance go as far as another terrain wants.
+
+        What is chosen stays chosen, so the slider ends there at the least.
+        """
+        if "max_error" in self._controls:
+            slider = self._controls["max_error"]
+            slider.max = max(_largest_tolerance(height_range), slider.value)
+            slider.step = slider.max / _STEPS
+
     def _add_levels(self, settings: Settings, height_range: float) -> None:
         """Add the mode, and three sliders of which one is to be seen."""
-        most = _OF_THE_RANGE * height_range or 1.0
+        most = _largest_tolerance(height_range)
         tolerance = _FIRST_OF_THAT * most if settings.max_error is None else settings.max_error
         mode = self._gui.add_dropdown(
             "By",
@@ -116,6 +126,10 @@ class Panel:
     def _show_the_slider(self) -> None:
         for mode, name in _CHOSEN_BY.items():
             self._controls[name].visible = mode == self._controls["mode"].value
+
+
+def _largest_tolerance(height_range: float) -> float:
+    return _OF_THE_RANGE * height_range or 1.0
 
 
 def told(picture: Picture, settings: Settings, frame_seconds: float, note: str = "") -> str:

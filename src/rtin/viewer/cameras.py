@@ -23,6 +23,7 @@ _Floats = NDArray[np.float64]
 _LOOP = 0.34 * SIDE  # half the width of the figure of eight of a flight
 _DOWNWARDS = math.radians(40.0)  # where a first view looks
 _FILLED = 0.9  # of a picture
+_UPRIGHT = 1e-6  # across by down: less is straight down
 _CLEARANCE = 0.035 * SIDE
 _AHEAD = 0.06  # of a flight: where it looks
 _SAMPLES_OF_A_MESH = 1 << 20
@@ -45,9 +46,15 @@ def overlook(
 
 
 def seen_from(place: Place, eye: ArrayLike, target: ArrayLike, exaggeration: float = 1.0) -> View:
-    """Return the view from one point of the world to another, both x, y, z."""
-    points = place.into_scene(np.array([eye, target], np.float64), exaggeration).tolist()
-    return View(tuple(points[0]), tuple(points[1]))
+    """Return the view from one point of the world to another, both x, y, z.
+
+    Heights are up in the picture; y is, where it looks straight down or up.
+    """
+    points = place.into_scene(np.array([eye, target], np.float64), exaggeration)
+    across, deep = np.hypot(*(points[1] - points[0])[:2]), abs(points[1, 2] - points[0, 2])
+    up = (0.0, 1.0, 0.0) if across < _UPRIGHT * deep else View.up
+    first, last = points.tolist()
+    return View(tuple(first), tuple(last), up)
 
 
 def orbit(

@@ -36,7 +36,7 @@ _FINER = 16  # times the samples of the stage before, at most
 _WORTH_IT = 8  # times fewer samples than the whole: what is shown before that
 # Of a sample while it is read and prepared: what is read, its mask, and the hierarchy.
 _BYTES_NARROW, _BYTES_WIDE = 14, 26
-_PATIENCE = 10.0  # seconds that closing waits for a part of the file to be read
+_PATIENCE = 1.0  # second that closing waits for what is being read or made of it
 _IDENTITY = Affine.identity()
 
 
@@ -157,7 +157,10 @@ class Opening:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop reading: no callback begins after this. Waits for the part that is being read."""
+        """Stop reading: no callback begins after this.
+
+        Waits a second at most for a part that is being read, or for a callback that is not done.
+        """
         self._is_closed.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(_PATIENCE)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._listening import address, listening
+from rtin.viewer.cameras import overlook
 from rtin.viewer.scene import HORIZON, SIDE, SKY, Picture, Settings, Terrain, View
 
 try:
@@ -43,7 +44,7 @@ _READING = 0.035  # seconds that a browser is given to read a GLB before it is t
 _ECHO = 0.5  # seconds to wait for a browser to move its camera
 _ROUND = 40.0  # seconds for a flight round the terrain
 _NEAR, _FAR = SIDE / 20_000.0, 20.0 * SIDE
-_FIELD_OF_VIEW = math.radians(60.0)
+_FURTHER = 4.0  # times as far as the first view: what is still seen, at least
 _DRAWERS = 4  # threads that draw, for all clients
 
 
@@ -96,11 +97,10 @@ class Visitor:
         self._page = page
         self._drawn: tuple[Any, ...] | None = None
         terrain = page.terrain
-        lowest, highest = terrain.bounds[:, 2]
         self.panel = Panel(
             client.gui,
             page.settings,
-            height_range=float(highest - lowest) if terrain.has_levels else None,
+            height_range=terrain.height_range if terrain.has_levels else None,
             colours=tuple(terrain.painters),
             on_change=self.ask,
         )
@@ -112,13 +112,18 @@ class Visitor:
             "Fly round", initial_value=False, hint="Until this is unchecked"
         )
         self._flies.on_update(self._fly_or_stay)
-        client.camera.max_orbit_distance = 10.0 * SIDE
+        client.camera.max_orbit_distance = page.reach / 2.0
         client.camera.on_update(self._follow)
         self.ask()
 
     def ask(self) -> None:
         """Have the newest view drawn."""
         self._newest.ask()
+
+    def meet(self, terrain: Terrain) -> None:
+        """Have another terrain drawn."""
+        self.panel.reach(terrain.height_range)
+        self.ask()
 
     def leave(self) -> None:
         """End whatever goes on for this client."""
@@ -223,6 +228,8 @@ class Page:
     ----------
     visitors : dict of Visitor
         By viser's numbers of clients.
+    reach : float
+        How far a camera sees, in units of the scene; it may go half as far away.
 
     Raises
     ------
@@ -259,7 +266,7 @@ class Page:
         """Show another terrain to everybody; from any thread."""
         self.terrain = terrain
         with suppress(RuntimeError):  # of a loop that is closed: there is nobody to show it to
-            self._server.get_event_loop().call_soon_threadsafe(self._ask_all)
+            self._server.get_event_loop().call_soon_threadsafe(self._present, terrain)
 
     def close(self) -> None:
         """Let everybody go, and end the server and its threads."""
@@ -277,9 +284,11 @@ class Page:
 
     def _look_over(self) -> None:
         """Set the camera that clients begin with: from the south, above the whole terrain."""
+        first = overlook(self.terrain, self.settings.exaggeration)
+        self.reach = max(_FAR, _FURTHER * math.dist(first.eye, first.target))
         camera = self._server.initial_camera
-        camera.position, camera.look_at = (0.0, -0.75 * SIDE, 0.55 * SIDE), (0.0, -0.05 * SIDE, 0.0)
-        camera.fov, camera.near, camera.far = _FIELD_OF_VIEW, _NEAR, _FAR
+        camera.position, camera.look_at = np.array(first.eye), np.array(first.target)
+        camera.fov, camera.near, camera.far = math.radians(first.field_of_view), _NEAR, self.reach
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         self.visitors[client.client_id] = Visitor(client, self)
@@ -289,9 +298,9 @@ class Page:
         if visitor is not None:
             visitor.leave()
 
-    def _ask_all(self) -> None:
+    def _present(self, terrain: Terrain) -> None:
         for visitor in self.visitors.values():
-            visitor.ask()
+            visitor.meet(terrain)
 
     async def _forget_all(self) -> None:
         while self.visitors:

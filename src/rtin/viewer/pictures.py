@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,7 +21,16 @@ from rtin.viewer.colours import Drape, hillshade
 from rtin.viewer.opening import mesh_in_metres
 from rtin.viewer.scene import HORIZON, LIFT, SKY, Settings, Shown, Terrain, View, usual_painters
 
-__all__ = ["as_terrain", "picture", "record", "require_film_path", "require_still_path", "snapshot"]
+__all__ = [
+    "as_terrain",
+    "film_size",
+    "picture",
+    "record",
+    "require_film_path",
+    "require_size",
+    "require_still_path",
+    "snapshot",
+]
 
 _Image = NDArray[np.uint8]
 _Source = Grid | TriangleMesh | Terrain
@@ -134,8 +144,7 @@ def record(
     require_film_path(path)
     if not 0.0 < frames_per_second <= 1000.0:
         raise ValueError(f"frames_per_second must be more than zero, got {frames_per_second!r}")
-    if Path(path).suffix.lower() == ".mp4":
-        size = (size[0] // 2 * 2, size[1] // 2 * 2)
+    size = film_size(path, size)
     if len(views) == 0:
         raise ValueError("a film needs at least one view, got none")
     settings = settings or Settings()
@@ -154,6 +163,24 @@ def require_still_path(path: str | os.PathLike[str]) -> None:
 def require_film_path(path: str | os.PathLike[str]) -> None:
     """Raise now what ``record`` would raise because of ``path``."""
     _require_extension(path, _FILMS, "a film")
+
+
+def require_size(size: tuple[int, int]) -> None:
+    """Raise now what ``picture`` would raise because of ``size``."""
+    _as_size(size)
+
+
+def film_size(path: str | os.PathLike[str], size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size of the film that ``record`` writes where ``size`` is asked for.
+
+    Raises now what ``record`` would raise because of it.
+    """
+    width, height = _as_size(size)
+    if Path(path).suffix.lower() != ".mp4":
+        return width, height
+    if min(width, height) < 2:
+        raise ValueError(f"size must be at least 2 × 2 pixels for an .mp4, got {size!r}")
+    return width // 2 * 2, height // 2 * 2
 
 
 def as_terrain(source: _Source) -> Terrain:
@@ -245,11 +272,15 @@ class _Stage:
 
 
 def _film(path: Path, frames_per_second: float) -> Any:  # noqa: ANN401  (imageio is an extra)
+    is_gif = path.suffix.lower() == ".gif"
     try:
         import imageio
+
+        if not is_gif:
+            import_module("imageio_ffmpeg")  # imageio tells of it in its own way, at length
     except ImportError as error:
         raise ImportError(f"films need imageio ({error}): pip install 'rtin[view]'") from None
-    if path.suffix == ".gif":
+    if is_gif:
         return imageio.get_writer(path, duration=1000.0 / frames_per_second, loop=0)
     options: dict[str, Any] = {"macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}
     return imageio.get_writer(path, fps=frames_per_second, **options)

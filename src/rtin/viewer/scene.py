@@ -175,6 +175,11 @@ class Terrain:
         """Whether there is a level of detail to choose."""
         return self._lod is not None
 
+    @property
+    def height_range(self) -> float:
+        """How much the highest point lies above the lowest."""
+        return float(np.ptp(self.bounds[:, 2]))
+
     def depends_on(self, view: View, settings: Settings) -> tuple[Any, ...]:
         """Return what a picture depends on: where it is equal, so is the picture."""
         if not self.has_levels or settings.mode == "tolerance":
