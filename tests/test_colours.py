@@ -398,6 +398,23 @@ def test_a_photograph_that_can_not_be_placed_is_refused(
     assert one_line(error)
 
 
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32", "float64"])
+def test_wide_numbers_have_an_edge_too(tmp_path, dtype):
+    """GDAL's own mask knows the alpha of bytes only."""
+    grey = (7 + np.indices((150, 105))[1]).astype(dtype)
+    path = write_raster(
+        tmp_path / "a.tif", grey, transform=Affine(10.0, 0.0, 6050.0, 0.0, -10.0, 9000.0)
+    )
+    below = Drape(np.full((150, 210, 3), (9, 99, 199), np.uint8), PLACE)
+    image = orthophoto(path, opened(tmp_path), under=below).image
+    assert (image[2:-2, 2:100] == (9, 99, 199)).all()
+    assert (image[2:-2, 110:, :1] == image[2:-2, 110:]).all()
+    away = Affine(10.0, 0.0, 96050.0, 0.0, -10.0, 9000.0)
+    far = write_raster(tmp_path / "far.tif", grey, transform=away)
+    with pytest.raises(ValueError, match="elsewhere"):
+        orthophoto(far, opened(tmp_path))
+
+
 def test_a_photograph_with_control_points_only_is_refused(tmp_path):
     points = [
         rasterio.control.GroundControlPoint(row, col, 9.0 + col / 100, 45.0 - row / 100)

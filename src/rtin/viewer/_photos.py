@@ -146,7 +146,7 @@ class Photo:
         **options: Any,  # noqa: ANN401
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         values = dataset.read(bands, out_shape=(len(bands), *shape), **options)
-        covered = dataset.dataset_mask(out_shape=shape) != 0
+        covered = _covered(dataset, shape)
         if self._palette is not None:
             rgba = self._palette[values[0]]
             return rgba[:, :, :3], covered & (rgba[:, :, 3] != 0)
@@ -172,6 +172,17 @@ def _palette(dataset: Any) -> NDArray[np.uint8] | None:  # noqa: ANN401
     for number, colour in dataset.colormap(1).items():
         palette[number] = colour
     return palette
+
+
+def _covered(dataset: Any, shape: tuple[int, int]) -> NDArray[np.bool_]:  # noqa: ANN401
+    """Return where a dataset has something; GDAL's own mask knows the alpha of bytes only."""
+    from rasterio.enums import ColorInterp
+
+    covered = dataset.dataset_mask(out_shape=shape) != 0
+    for band, meaning in zip(dataset.indexes, dataset.colorinterp, strict=True):
+        if meaning == ColorInterp.alpha:
+            covered &= dataset.read(band, out_shape=shape) != 0
+    return np.asarray(covered)
 
 
 def _lacks_mask(dataset: Any) -> bool:  # noqa: ANN401
