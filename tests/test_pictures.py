@@ -429,6 +429,16 @@ def test_the_program_tells_a_wrong_size_before_it_opens_anything(tmp_path, flag,
     assert result.output.count("\n") == 1
 
 
+@pytest.mark.parametrize("flag", [("--snapshot", "a.png"), ("--record", "a.gif")])
+def test_the_program_names_pyvista_before_it_opens_anything(flag, monkeypatch):
+    monkeypatch.setattr(pictures, "require_renderer", lambda: None)
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    result = CliRunner().invoke(app, ["view", "missing.npy", *flag])
+    assert result.exit_code == 1
+    assert "pictures need pyvista" in result.output
+    assert result.output.count("\n") == 1
+
+
 @needs_renderer
 def test_the_program_tells_the_size_that_a_film_has(tmp_path):
     np.save(tmp_path / "dem.npy", hills().heights)

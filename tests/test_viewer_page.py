@@ -676,7 +676,8 @@ def test_the_command_shows_a_raster_until_ctrl_c(tmp_path, browser):
         (["text.tif"], "text.tif"), (["hills.npy", "--port", "70000"], "port"),
         (["hills.npy", "--max-error", "-1"], "--max-error must be zero or more, got -1"),
         (["hills.npy", "--pixel-error", "0"], "--pixel-error must be more than zero, got 0"),
-        (["hills.npy", "--max-error", "1", "--max-triangles", "9"], "not both"),
+        (["hills.npy", "--max-error", "1", "--max-triangles", "9"], "give one of"),
+        (["hills.npy", "--pixel-error", "1", "--max-triangles", "9"], "give one of"),
     ],
 )  # fmt: skip
 def test_the_command_tells_in_a_line_what_it_cannot_show(tmp_path, arguments, reason):

@@ -35,8 +35,11 @@ def view(
         Path, typer.Argument(metavar="DEM|MESH", help="A raster, or a mesh that rtin reads.")
     ],
     pixel_error: Annotated[
-        float, typer.Option(metavar="PIXELS", help="How far off a sample may be on the screen.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            metavar="PIXELS", help="How far off a sample may be on the screen.  [default: 1.0]"
+        ),
+    ] = None,
     max_triangles: Annotated[
         int | None, typer.Option(metavar="N", help="A budget for each picture, instead.")
     ] = None,
@@ -137,7 +140,7 @@ class _Out(NamedTuple):
 
 
 def _require_possible(out: _Out) -> None:
-    """Raise now what writing would raise because of paths and the size."""
+    """Raise now what writing would raise because of paths, the size or what is not installed."""
     from rtin.viewer import pictures
 
     if out.snapshot is not None:
@@ -146,6 +149,7 @@ def _require_possible(out: _Out) -> None:
     if out.record is not None:
         pictures.require_film_path(out.record)
         pictures.film_size(out.record, out.size)
+    pictures.require_something_to_draw_with()
 
 
 def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, out: _Out) -> None:
@@ -209,7 +213,7 @@ def _terrain(opened: Opened, photo: Path | None, place: Place | None = None) -> 
 
 
 def _settings(
-    pixel_error: float,
+    pixel_error: float | None,
     max_triangles: int | None,
     max_error: float | None,
     exaggeration: float,
@@ -218,8 +222,9 @@ def _settings(
     """Return what clients begin with; refuse what no mesh can be asked for."""
     from rtin.viewer.scene import Settings
 
-    if max_triangles is not None and max_error is not None:
-        raise typer.BadParameter("give --max-triangles or --max-error, not both")
+    if sum(chosen is not None for chosen in (pixel_error, max_triangles, max_error)) > 1:
+        raise typer.BadParameter("give one of --pixel-error, --max-triangles and --max-error")
+    pixel_error = Settings.pixel_error if pixel_error is None else pixel_error
     _require_more_than_zero("--pixel-error", pixel_error)
     _require_more_than_zero("--exaggeration", exaggeration)
     if max_error is not None and not 0.0 <= max_error < float("inf"):

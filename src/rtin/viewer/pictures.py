@@ -183,6 +183,20 @@ def film_size(path: str | os.PathLike[str], size: tuple[int, int]) -> tuple[int,
     return width // 2 * 2, height // 2 * 2
 
 
+def require_something_to_draw_with() -> None:
+    """Raise now what ``picture`` would raise because of what is not installed."""
+    _pyvista()
+
+
+def _pyvista() -> Any:  # noqa: ANN401  (pyvista is an extra)
+    require_renderer()
+    try:
+        import pyvista
+    except ImportError as error:
+        raise ImportError(f"pictures need pyvista ({error}): pip install 'rtin[view]'") from None
+    return pyvista
+
+
 def as_terrain(source: _Source) -> Terrain:
     """Return a terrain of a grid or mesh, with all colours that a page has."""
     if isinstance(source, Terrain):
@@ -200,15 +214,8 @@ class _Stage:
 
     def __init__(self, size: tuple[int, int]) -> None:
         width, height = _as_size(size)
-        require_renderer()
-        try:
-            import pyvista
-        except ImportError as error:
-            raise ImportError(
-                f"pictures need pyvista ({error}): pip install 'rtin[view]'"
-            ) from None
         self._size = (width, height)
-        self._pyvista: Any = pyvista
+        self._pyvista = _pyvista()
         self._drape: Drape | None = None
         self._its_texture: Any = None
         self._plotter: Any = self._pyvista.Plotter(off_screen=True, window_size=[width, height])
