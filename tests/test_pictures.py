@@ -306,6 +306,15 @@ def test_a_film_without_views_is_refused(terrain, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@needs_renderer
+def test_a_film_has_a_terrain_for_each_view(terrain, tmp_path):
+    with pytest.raises(ValueError, match="terrain for each of the 3 views, got 2"):
+        pictures.record(iter([terrain] * 2), tmp_path / "a.gif", cameras.orbit(3), size=SMALL)
+    assert list(tmp_path.iterdir()) == []
+    pictures.record([terrain] * 5, tmp_path / "a.gif", cameras.orbit(3), size=SMALL)
+    assert len(frames(tmp_path / "a.gif")) == 3
+
+
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
 def test_a_film_has_pictures_in_a_second(tmp_path, rate):
     with pytest.raises(ValueError, match="frames_per_second must be"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -139,7 +139,8 @@ def record(
     OSError
         If there is nothing to draw with, or the file can't be written.
     TypeError, ValueError
-        As ``picture`` does; for another extension; if there is no view at all.
+        As ``picture`` does; for another extension; if there is no view at all, or fewer terrains
+        than views.
     """
     require_film_path(path)
     if not 0.0 < frames_per_second <= 1000.0:
@@ -147,9 +148,14 @@ def record(
     size = film_size(path, size)
     if len(views) == 0:
         raise ValueError("a film needs at least one view, got none")
-    settings = settings or Settings()
+    settings, terrains = settings or Settings(), _one_each(source)
     with replacing(path) as part, _Stage(size) as stage, _film(part, frames_per_second) as film:
-        for done, (terrain, view) in enumerate(zip(_one_each(source), views, strict=False), 1):
+        for done, view in enumerate(views, 1):
+            terrain = next(terrains, None)
+            if terrain is None:
+                raise ValueError(
+                    f"there must be a terrain for each of the {len(views)} views, got {done - 1}"
+                )
             film.append_data(stage.draw(terrain, view, settings))
             if tell is not None:
                 tell(done / len(views))
@@ -293,7 +299,7 @@ def _film(path: Path, frames_per_second: float) -> Any:  # noqa: ANN401  (imagei
     return imageio.get_writer(path, fps=frames_per_second, **options)
 
 
-def _one_each(source: _Source | Iterable[_Source]) -> Iterable[Terrain]:
+def _one_each(source: _Source | Iterable[_Source]) -> Iterator[Terrain]:
     if isinstance(source, Grid | TriangleMesh | Terrain):
         terrain = as_terrain(source)
         while True:
