@@ -545,6 +545,38 @@ def test_earlier_budgets_have_no_say():
             assert same_bytes(one, other)
 
 
+def around_voids(distance):
+    """A terrain where finer is not always more triangles, an eye above, and what vertices weigh."""
+    rng = np.random.default_rng(7)
+    heights = rng.normal(0.0, 1e-3, (9, 9))
+    heights[rng.random((9, 9)) < 0.15] = np.nan
+    grid, view = rtin.Grid(heights), View((4.0, -4.0, distance))
+    weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+    return grid, view, np.unique([w for w in weights.values() if 0.0 < w < math.inf])
+
+
+@pytest.mark.parametrize("distance", [20.0, 2000.0])
+def test_every_tolerance_larger_than_a_budgets_keeps_it(distance):
+    grid, view, weights = around_voids(distance)
+    lod = rtin.LevelOfDetail(grid)
+    sizes = np.array([lod.mesh(view.eye, pixel_error=w * 1.0000001).n_triangles for w in weights])
+    assert (np.diff(sizes) > 0).any()
+    for budget in range(2, sizes.max()):
+        kept = lod.frame(view.eye, max_triangles=budget).pixel_error / GROWTH**2
+        assert (sizes[weights > 1.000001 * kept] <= budget).all()
+
+
+def test_a_search_for_a_budget_ends_at_one_tolerance_wherever_it_starts():
+    grid, view, weights = around_voids(60.0)
+    lod = rtin.LevelOfDetail(grid)
+    for budget in range(2, 50):
+        found = set()
+        for weight in weights:
+            lod._guesses[1] = 0.9999999 * weight
+            found.add(lod.frame(view.eye, max_triangles=budget).pixel_error)
+        assert len(found) == 1
+
+
 def test_of_equals_all_or_none_are_kept():
     heights = np.zeros((17, 17))
     heights[1::4, 1::4] = heights[3::4, 3::4] = 5.0

@@ -115,8 +115,8 @@ class LevelOfDetail:
     grid : Grid
         With the heights as they are now.
     nbytes : int
-        Bytes of the hierarchy, about 1.9 times those of float32 heights; the heights themselves
-        are not counted.
+        Bytes of the hierarchy, about 1.9 times those of float32 heights, and up to six times those
+        of a raster a few samples wide; the heights themselves are not counted.
 
     Raises
     ------
@@ -197,7 +197,8 @@ class LevelOfDetail:
             Without an eye: every valid sample lies within this vertical distance of its triangle.
             *Guaranteed*; the mesh covers what ``coarsen`` covers.
         max_triangles : int
-            The mesh of the smallest ``pixel_error`` or ``max_error`` that has no more triangles.
+            The mesh of the smallest ``pixel_error`` or ``max_error`` at which, and at any larger
+            one, there are no more triangles. At voids a smaller one may fit as well.
         field_of_view : float
             From the lower to the upper border of the picture, in degrees.
         height : int
@@ -395,7 +396,7 @@ class LevelOfDetail:
         return self._walk(view, tolerance, MOST), tolerance
 
     def _within_budget(self, view: _View, budget: int) -> tuple[_Walk, float]:
-        """Return a walk, and the smallest tolerance at which it makes no more triangles.
+        """Return a walk, and the tolerance at which it makes no more triangles than a budget.
 
         The walk goes on from the last one's tolerance, which changes nothing but the time.
         """
