@@ -524,7 +524,7 @@ def _direction(vector: _Floats) -> _Floats:
     if largest == 0.0:
         return vector
     scaled = vector / largest
-    return scaled / np.linalg.norm(scaled)
+    return np.asarray(scaled / np.linalg.norm(scaled))
 
 
 class _Search:
