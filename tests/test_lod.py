@@ -545,6 +545,47 @@ def test_earlier_budgets_have_no_say():
             assert same_bytes(one, other)
 
 
+def around_voids(distance):
+    """A terrain where finer is not always more triangles, an eye above, and what vertices weigh."""
+    rng = np.random.default_rng(7)
+    heights = rng.normal(0.0, 1e-3, (9, 9))
+    heights[rng.random((9, 9)) < 0.15] = np.nan
+    grid, view = rtin.Grid(heights), View((4.0, -4.0, distance))
+    weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+    return grid, view, np.unique([w for w in weights.values() if 0.0 < w < math.inf])
+
+
+@pytest.mark.parametrize("distance", [20.0, 2000.0])
+def test_every_tolerance_larger_than_a_budgets_keeps_it(distance):
+    grid, view, weights = around_voids(distance)
+    lod = rtin.LevelOfDetail(grid)
+    sizes = np.array([lod.mesh(view.eye, pixel_error=w * 1.0000001).n_triangles for w in weights])
+    assert (np.diff(sizes) > 0).any()
+    for budget in range(2, sizes.max()):
+        kept = lod.frame(view.eye, max_triangles=budget).pixel_error / GROWTH**2
+        assert (sizes[weights > 1.000001 * kept] <= budget).all()
+
+
+def test_a_search_for_a_budget_ends_at_one_tolerance_wherever_it_starts():
+    grid, view, weights = around_voids(60.0)
+    lod = rtin.LevelOfDetail(grid)
+    for budget in range(2, 50):
+        found = set()
+        for weight in weights:
+            lod._guesses[1] = 0.9999999 * weight
+            found.add(lod.frame(view.eye, max_triangles=budget).pixel_error)
+        assert len(found) == 1
+
+
+@pytest.mark.parametrize("budget", [2**62, 2**63 - 1, 10**30, np.uint64(2**64 - 1)])
+def test_a_budget_may_be_any_whole_number(budget):
+    lod = rtin.LevelOfDetail(rolling((17, 17)))
+    assert same_bytes(lod.mesh(max_triangles=budget), lod.mesh(max_error=0.0))
+    frame = lod.frame((8.0, -8.0, 9.0), max_triangles=budget)
+    assert frame.pixel_error == 0.0
+    assert frame.mesh.n_triangles == 512
+
+
 def test_of_equals_all_or_none_are_kept():
     heights = np.zeros((17, 17))
     heights[1::4, 1::4] = heights[3::4, 3::4] = 5.0
@@ -874,9 +915,15 @@ def small():
         ({"eye": (1.0, math.nan, 2.0)}, "eye must be three finite numbers"),
         ({"eye": (1.0, math.inf, 2.0)}, "eye must be three finite numbers"),
         ({"eye": "here"}, "eye must be three finite numbers"),
+        ({"eye": (1.0, (2.0, 3.0), 4.0)}, "eye must be three finite numbers"),
+        ({"max_error": 10**400}, "max_error must fit a float64"),
         ({"eye": EYE, "field_of_view": 0.0}, "field_of_view must be between 0 and 180"),
         ({"eye": EYE, "field_of_view": 180.0}, "field_of_view must be between 0 and 180"),
         ({"eye": EYE, "field_of_view": math.nan}, "field_of_view must be between 0 and 180"),
+        ({"eye": EYE, "field_of_view": 5e-324}, "field_of_view must be between 0 and 180"),
+        ({"eye": EYE, "height": 5e-324}, "height must be pixels of a picture of 60.0 degrees"),
+        ({"eye": EYE, "height": 1e308, "field_of_view": 1.0}, "height must be pixels"),
+        ({"eye": EYE, "frustum": [[1, 2, 3, 4], [5, 6]]}, r"shape \(n, 4\), got shape \(2,\)"),
         ({"eye": EYE, "height": 0}, "height must be a positive number of pixels, got 0"),
         ({"eye": EYE, "height": -3}, "height must be a positive number of pixels"),
         ({"eye": EYE, "height": math.inf}, "height must be a positive number of pixels"),
@@ -935,8 +982,10 @@ def test_a_grid_without_a_triangle_has_no_mesh():
     heights = np.full((5, 5), np.nan)
     heights[::2, ::2] = 1.0
     lod = rtin.LevelOfDetail(rtin.Grid(heights))
-    with pytest.raises(ValueError, match="no triangle"):
-        lod.mesh(max_error=1.0)
+    for options in ({"max_error": 1.0}, {"max_triangles": 9}):
+        with pytest.raises(ValueError, match="no triangle"):
+            lod.mesh(**options)
+    assert lod.mesh(EYE).n_triangles == 0
 
 
 def test_what_is_out_of_sight_has_no_triangle():
@@ -1018,6 +1067,13 @@ def camera(eye, target, up):
 
 
 numbers = st.floats(-10.0, 10.0)
+
+
+def test_only_directions_count_for_a_frustum():
+    one = rtin.frustum((1.0, 2.0, 3.0), (4.0, 5.0, 3.0), up=(0.1, 0.0, 1.0))
+    for far, length in ((1e-13, 1.0), (1.0, 1e-13), (1.0, 1e200), (1e200, 1.0)):
+        other = rtin.frustum((0.0, 0.0, 0.0), (far, far, 0.0), up=(0.1 * length, 0.0, length))
+        np.testing.assert_allclose(other[:, :3], one[:, :3], atol=1e-15)
 
 
 @given(

@@ -10,7 +10,11 @@ __all__ = ["as_number"]
 
 
 def as_number(name: str, value: Any) -> float:  # noqa: ANN401
-    """Return ``value`` as a float; raise TypeError where it is no number, as text and truth are."""
+    """Return ``value`` as a float.
+
+    Raises TypeError where it is no number, as text and truth are, and ValueError where it is a
+    whole number beyond all floats.
+    """
     shape = getattr(value, "shape", ())  # an array would fill lines
     got = f"an array of shape {shape}" if shape else repr(value)
     wrong_kind = TypeError(f"{name} must be a number, got {got}")
@@ -20,3 +24,5 @@ def as_number(name: str, value: Any) -> float:  # noqa: ANN401
         return float(value)
     except (TypeError, ValueError):
         raise wrong_kind from None
+    except OverflowError:
+        raise ValueError(f"{name} must fit a float64, got a larger whole number") from None

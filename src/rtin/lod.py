@@ -115,8 +115,8 @@ class LevelOfDetail:
     grid : Grid
         With the heights as they are now.
     nbytes : int
-        Bytes of the hierarchy, about 1.9 times those of float32 heights; the heights themselves
-        are not counted.
+        Bytes of the hierarchy, about 1.9 times those of float32 heights, but several times those
+        of a raster a few samples wide; the heights themselves are not counted.
 
     Raises
     ------
@@ -197,7 +197,8 @@ class LevelOfDetail:
             Without an eye: every valid sample lies within this vertical distance of its triangle.
             *Guaranteed*; the mesh covers what ``coarsen`` covers.
         max_triangles : int
-            The mesh of the smallest ``pixel_error`` or ``max_error`` that has no more triangles.
+            The mesh of the smallest ``pixel_error`` or ``max_error`` at which, and at any larger
+            one, there are no more triangles. At voids a smaller one may fit as well.
         field_of_view : float
             From the lower to the upper border of the picture, in degrees.
         height : int
@@ -215,16 +216,17 @@ class LevelOfDetail:
         Raises
         ------
         TypeError
-            If an option is of the wrong kind.
+            If a number or count is something else.
         ValueError
-            If options do not go together, a number or shape is wrong, the budget is too small, the
-            grid is in degrees (take ``grid.in_metres()``), or no sample makes a triangle.
+            If options do not go together, or a number or shape is wrong. With an eye: if the grid
+            is in degrees (take ``grid.in_metres()``). Without one: if the budget is too small for
+            the outline, or no three samples make a triangle; an eye may see none.
         """
         view, name, value = self._asked(
             eye, pixel_error, max_error, max_triangles, field_of_view, height, frustum
         )
         mesh, _, _ = self._mesh_of(*self._kept(view, name, value))
-        if name == "max_error" and mesh.n_triangles == 0:
+        if eye is None and mesh.n_triangles == 0:
             raise ValueError(
                 "the grid has no triangle to keep: no three neighbouring samples of a cell have "
                 "heights"
@@ -366,15 +368,18 @@ class LevelOfDetail:
                 "an eye needs x, y and heights in one unit, but the grid is in degrees: "
                 "take LevelOfDetail(grid.in_metres())"
             )
-        angle = _as_angle(field_of_view)
         pixels = as_number("height", height)
         if not 0.0 < pixels < math.inf:
             raise ValueError(f"height must be a positive number of pixels, got {height!r}")
+        scale = _ROUNDING * pixels / 2.0 / _half_tangent(field_of_view)
+        if not 0.0 < scale < math.inf:
+            raise ValueError(
+                f"height must be pixels of a picture of {field_of_view} degrees, got {height!r}"
+            )
         x, y, z = _as_point("eye", eye)
         a, b, x0, d, e, y0 = tuple(transform)[:6]
         axes = np.array([[b, a], [e, d]])  # x, y of a step along a column, and along a row
         row, col = np.linalg.solve(axes, (x - x0, y - y0))
-        scale = _ROUNDING * pixels / (2.0 * math.tan(angle / 2.0))
         place = np.array([row, col, z, *_lengths(axes), scale])
         if frustum is None:
             return _View(place, _NO_PLANES)
@@ -395,7 +400,7 @@ class LevelOfDetail:
         return self._walk(view, tolerance, MOST), tolerance
 
     def _within_budget(self, view: _View, budget: int) -> tuple[_Walk, float]:
-        """Return a walk, and the smallest tolerance at which it makes no more triangles.
+        """Return a walk, and the tolerance at which it makes no more triangles than a budget.
 
         The walk goes on from the last one's tolerance, which changes nothing but the time.
         """
@@ -403,7 +408,7 @@ class LevelOfDetail:
 
         kind = view is not _NOBODY
         search = _Search(self._guesses[kind])
-        most = 2 * budget + _SPARE
+        most = min(2 * budget + _SPARE, MOST)
         while True:
             walked = self._walk(view, search.tolerance, MOST if search.is_narrow else most)
             corners = _Walk._make(of_all[:4] for of_all in walked)
@@ -489,29 +494,37 @@ def frustum(
     """
     place = _as_point("eye", eye)
     forward = _as_point("target", target) - place
-    tangent = math.tan(_as_angle(field_of_view) / 2.0)
+    tangent = _half_tangent(field_of_view)
     across = as_number("aspect", aspect)
     if not 0.0 < across < math.inf:
         raise ValueError(f"aspect must be positive, width by height, got {aspect!r}")
     if not np.any(forward):
         raise ValueError(f"eye and target must be two points, both are {place.tolist()}")
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, _as_point("up", up))
+    forward = _direction(forward)
+    right = np.cross(forward, _direction(_as_point("up", up)))
     if not np.linalg.norm(right) > 1e-12:
         raise ValueError(
             "up must not run along the line from eye to target; give another direction"
         )
-    right /= np.linalg.norm(right)
+    right = _direction(right)
     above = np.cross(right, forward)
     normals = np.array([
-        tangent * across * forward + right,
-        tangent * across * forward - right,
-        tangent * forward + above,
-        tangent * forward - above,
+        _direction(tangent * across * forward + right),
+        _direction(tangent * across * forward - right),
+        _direction(tangent * forward + above),
+        _direction(tangent * forward - above),
         forward,
     ])  # fmt: skip
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return np.column_stack([normals, -normals @ place])
+
+
+def _direction(vector: _Floats) -> _Floats:
+    """Return a vector of length 1; one of zeros as it is. Squares of its parts may not overflow."""
+    largest = np.abs(vector).max()
+    if largest == 0.0:
+        return vector
+    scaled = vector / largest
+    return np.asarray(scaled / np.linalg.norm(scaled))
 
 
 class _Search:
@@ -623,15 +636,23 @@ def _morph_weights(seen: _Floats, tolerance: float) -> NDArray[np.float32]:
 # --- the door -------------------------------------------------------------------------------------
 
 
+def _as_array(value: ArrayLike) -> NDArray[Any]:
+    """Return an array; one of objects where rows are not of one length."""
+    try:
+        return np.asarray(value)
+    except ValueError:
+        return np.asarray(value, object)
+
+
 def _as_point(name: str, value: ArrayLike) -> _Floats:
-    point = np.asarray(value)
+    point = _as_array(value)
     if point.dtype.kind not in "fiu" or point.shape != (3,) or not np.isfinite(point).all():
         raise ValueError(f"{name} must be three finite numbers, x, y, z; got {value!r}")
     return point.astype(np.float64)
 
 
 def _as_planes(value: ArrayLike) -> _Planes:
-    planes = np.asarray(value)
+    planes = _as_array(value)
     if planes.dtype.kind not in "fiu" or planes.ndim != 2 or planes.shape[1] != 4:
         raise ValueError(
             f"frustum must be planes, numbers of shape (n, 4), got shape {planes.shape}; "
@@ -642,12 +663,13 @@ def _as_planes(value: ArrayLike) -> _Planes:
     return planes.astype(np.float64)
 
 
-def _as_angle(degrees: float) -> float:
-    """Return a field of view in radians."""
+def _half_tangent(degrees: float) -> float:
+    """Return half the height of a picture at a distance of 1."""
     angle = as_number("field_of_view", degrees)
-    if not 0.0 < angle < 180.0:
+    tangent = math.tan(math.radians(angle) / 2.0) if 0.0 < angle < 180.0 else 0.0
+    if tangent == 0.0:
         raise ValueError(f"field_of_view must be between 0 and 180 degrees, got {degrees!r}")
-    return math.radians(angle)
+    return tangent
 
 
 def _as_budget(value: int) -> int:

@@ -376,32 +376,40 @@ def triangles_gained(z, around, slots, number):
 
 @jit
 def tolerance_within(z, around, slots, weights, n_triangles, budget):
-    """The smallest weight at which the vertices above it make no more triangles than a budget.
+    """The smallest weight such that above it, and above any larger, a budget is never exceeded.
 
-    ``n_triangles`` are there without any vertex. Returns -1 where all fit.
+    ``n_triangles`` are there without any vertex. Returns -1 where all fit. The smallest of all that
+    fit it need not be: at voids a triangle may be split into fewer that are drawn.
     """
     keys = weights[4:].view(np.int64) >> 46  # a bucket for each 64th of an octave
     if keys.size == 0:
         return -1.0
     lowest = keys.min()
-    gains = np.zeros(keys.max() - lowest + 1, np.int64)
+    gains, rises = np.zeros((2, keys.max() - lowest + 1), np.int64)
     for i in range(keys.size):
-        gains[keys[i] - lowest] += triangles_gained(z, around, slots, i + 4)
-    bucket = gains.size - 1
-    while bucket >= 0 and n_triangles + gains[bucket] <= budget:
+        gained = triangles_gained(z, around, slots, i + 4)
+        gains[keys[i] - lowest] += gained
+        rises[keys[i] - lowest] += max(gained, 0)
+    for bucket in range(gains.size - 1, -1, -1):
+        if n_triangles + rises[bucket] > budget:
+            numbers = np.flatnonzero(keys == bucket + lowest) + 4
+            weight = first_too_many(z, around, slots, weights, numbers, n_triangles, budget)
+            if weight >= 0.0:
+                return weight
         n_triangles += gains[bucket]
-        bucket -= 1
-    if bucket < 0:
-        return -1.0
-    numbers = np.flatnonzero(keys == bucket + lowest) + 4
+    return -1.0
+
+
+@jit
+def first_too_many(z, around, slots, weights, numbers, n_triangles, budget):
+    """The largest weight of some vertices which, with all above, exceeds a budget; -1 if none."""
     numbers = numbers[np.argsort(-weights[numbers])]
     i = 0
     while i < numbers.size:
-        weight, of_ties = weights[numbers[i]], 0
+        weight = weights[numbers[i]]
         while i < numbers.size and weights[numbers[i]] == weight:
-            of_ties += triangles_gained(z, around, slots, numbers[i])
+            n_triangles += triangles_gained(z, around, slots, numbers[i])
             i += 1
-        if n_triangles + of_ties > budget:
+        if n_triangles > budget:
             return weight
-        n_triangles += of_ties
     return -1.0
