@@ -206,6 +206,22 @@ def test_keeps_what_the_twin_keeps_of_triangles_too_large_to_search_through(hole
         assert naive.triangles_of(lod.mesh(max_error=tolerance), lod.grid) == triangles
 
 
+def test_a_sample_alone_among_voids_counts_for_the_large_triangles_over_it():
+    heights = np.full((65, 65), np.nan)
+    heights[::32, ::32] = 0.0
+    for row, col in ((5, 37), (3, 9), (50, 11), (41, 60)):
+        heights[row, col] = 1000.0
+        grid, view = rtin.Grid(heights.copy()), View((32.0, -32.0, 1e5))
+        lod = rtin.LevelOfDetail(grid)
+        weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+        for length in (50.0, 500.0, 950.0, 1010.0, 1200.0):
+            pixel_error = view.scale * length / 1e5
+            mesh = lod.mesh(pixel_error=pixel_error, **view.options)
+            assert_keeps_its_promise(mesh, grid, view, pixel_error)
+            assert naive.triangles_of(mesh, grid) == naive_triangles(grid, [weights], pixel_error)
+        heights[row, col] = np.nan
+
+
 # --- the promise --------------------------------------------------------------------------------
 
 
