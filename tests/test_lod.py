@@ -206,6 +206,72 @@ def test_keeps_what_the_twin_keeps_of_triangles_too_large_to_search_through(hole
         assert naive.triangles_of(lod.mesh(max_error=tolerance), lod.grid) == triangles
 
 
+def test_a_sample_alone_among_voids_counts_for_the_large_triangles_over_it():
+    heights = np.full((65, 65), np.nan)
+    heights[::32, ::32] = 0.0
+    for row, col in ((5, 37), (3, 9), (50, 11), (41, 60)):
+        heights[row, col] = 1000.0
+        grid, view = rtin.Grid(heights.copy()), View((32.0, -32.0, 1e5))
+        lod = rtin.LevelOfDetail(grid)
+        weights = naive.weights_by_pixels(grid, GROWTH, view.eye, view.scale, np.empty((0, 4)))
+        for length in (50.0, 500.0, 950.0, 1010.0, 1200.0):
+            pixel_error = view.scale * length / 1e5
+            mesh = lod.mesh(pixel_error=pixel_error, **view.options)
+            assert_keeps_its_promise(mesh, grid, view, pixel_error)
+            assert naive.triangles_of(mesh, grid) == naive_triangles(grid, [weights], pixel_error)
+        heights[row, col] = np.nan
+
+
+def roughness():
+    return np.random.default_rng(8).normal(0.0, 10.0, (65, 65))
+
+
+def tents():
+    """Smooth between samples 16 apart, and rough in one quarter: there the search begins."""
+    rng = np.random.default_rng(2)
+    heights = np.zeros((65, 65))
+    heights[::64, ::64] = rng.normal(0.0, 30.0, (2, 2))
+    for vertex in naive.bisections(64):
+        one, other = naive.ends(vertex, 64)
+        is_coarse = naive.level_spacing(vertex, 64) >= 16
+        heights[vertex] = (heights[one] + heights[other]) / 2.0 + rng.normal(0.0, 30.0) * is_coarse
+    heights[:32, :32] += terrains.noise((32, 32))
+    return heights
+
+
+@pytest.mark.parametrize("holes", ["none", "one sample", "scattered"])
+@pytest.mark.parametrize("terrain", [roughness, tents])
+def test_own_errors_are_the_largest_of_all_samples(terrain, holes):
+    """Ancestors hide them in a mesh: parts of large triangles that are skipped show here only."""
+    heights = terrains.pierced(terrain(), terrains.HOLES[holes]((65, 65)))
+    grid = rtin.Grid(np.float32(heights))
+    lod = rtin.LevelOfDetail(grid)
+    size, exact = 64, naive.exact_heights(grid.heights)
+    found, expected = [], []
+    for row, col in naive.bisections(size):
+        spacing = naive.level_spacing((row, col), size)
+        level, is_centre = spacing.bit_length() - 1, bool(row & spacing and col & spacing)
+        first, width, n_rows = lod._layout[level, 0 if is_centre else 3 :][:3]
+        i, j = row // spacing // (1 + is_centre), col // spacing // 2
+        if spacing > 1 and i < n_rows and j < width:
+            found.append(lod._own[first + i * width + j])
+            expected.append(float(naive.own_error((row, col), exact, size)))
+    assert max(expected) > 0.0
+    assert (np.array(found) >= expected).all()
+    np.testing.assert_allclose(found, expected, rtol=3e-7, atol=1e-44)
+
+
+@given(st.floats(1e-30, 1e30))
+def test_boxes_hold_heights_that_float32_does_not(scale):
+    heights = terrains.noise((9, 9)) * scale
+    _, low, high = rtin.LevelOfDetail(rtin.Grid(heights))._bounds.T.astype(np.float64)
+    assert low.min() <= heights.min() <= heights.max() <= high.max()
+    holes = heights.copy()
+    holes[1::2, 1::2] = np.nan
+    _, low, high = rtin.LevelOfDetail(rtin.Grid(holes))._bounds.T.astype(np.float64)
+    assert np.nanmin(low) <= np.nanmin(holes) <= np.nanmax(holes) <= np.nanmax(high)
+
+
 # --- the promise --------------------------------------------------------------------------------
 
 
