@@ -410,6 +410,27 @@ def test_what_can_draw_is_found_without_a_screen(display):
     assert result.stderr == ""
 
 
+@needs_renderer
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [(Settings("tolerence"), "mode must be .*'tolerance', got 'tolerence'"),
+     (Settings(colours="pink"), "colours must be .*'height'.*, got 'pink'"),
+     (Settings(pixel_error=0.0), "pixel_error must be more than zero, got 0.0"),
+     (Settings(exaggeration=-1.0), "exaggeration must be more than zero, got -1.0"),
+     (Settings(max_triangles=0), "max_triangles must be more than zero, got 0")],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(terrain, settings, wanted):
+    with pytest.raises(ValueError, match=wanted):
+        pictures.picture(terrain, settings=settings, size=SMALL)
+
+
+@needs_renderer
+def test_a_mesh_has_no_error_to_be_coloured_by():
+    mesh = rtin.coarsen(hills(), max_error=1.0)
+    with pytest.raises(ValueError, match="colours must be 'hillshade' or 'height', got 'error'"):
+        pictures.picture(mesh, settings=Settings(colours="error"), size=SMALL)
+
+
 # --- from the command line ------------------------------------------------------------------------
 
 
