@@ -410,6 +410,27 @@ def test_what_can_draw_is_found_without_a_screen(display):
     assert result.stderr == ""
 
 
+@needs_renderer
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [(Settings("tolerence"), "mode must be .*'tolerance', got 'tolerence'"),
+     (Settings(colours="pink"), "colours must be .*'height'.*, got 'pink'"),
+     (Settings(pixel_error=0.0), "pixel_error must be more than zero, got 0.0"),
+     (Settings(exaggeration=-1.0), "exaggeration must be more than zero, got -1.0"),
+     (Settings(max_triangles=0), "max_triangles must be more than zero, got 0")],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(terrain, settings, wanted):
+    with pytest.raises(ValueError, match=wanted):
+        pictures.picture(terrain, settings=settings, size=SMALL)
+
+
+@needs_renderer
+def test_a_mesh_has_no_error_to_be_coloured_by():
+    mesh = rtin.coarsen(hills(), max_error=1.0)
+    with pytest.raises(ValueError, match="colours must be 'hillshade' or 'height', got 'error'"):
+        pictures.picture(mesh, settings=Settings(colours="error"), size=SMALL)
+
+
 # --- from the command line ------------------------------------------------------------------------
 
 
@@ -433,9 +454,47 @@ def test_the_program_writes_a_picture_and_a_film(tmp_path):
 def test_the_program_tells_a_wrong_size_before_it_opens_anything(tmp_path, flag, name, size):
     path = str(tmp_path / name)
     result = CliRunner().invoke(app, ["view", "missing.npy", flag, path, "--size", size])
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert f"got ({size.replace('x', ', ')})" in result.output
-    assert result.output.count("\n") == 1
+
+
+@pytest.mark.parametrize(("flag", "name"), [("--snapshot", "a.bmp"), ("--record", "a.avi")])
+def test_an_extension_that_cannot_be_is_bad_usage(tmp_path, flag, name):
+    result = CliRunner().invoke(app, ["view", "missing.npy", flag, str(tmp_path / name)])
+    assert result.exit_code == 2
+    assert "must end in one of" in result.output
+
+
+def test_a_film_is_refused_a_fixed_eye(tmp_path):
+    points = ["--eye", "0,0,9", "--target", "0,0,0"]
+    film = ["--record", str(tmp_path / "a.gif")]
+    result = CliRunner().invoke(app, ["view", "missing.npy", *film, *points])
+    assert result.exit_code == 2
+    assert "--eye and --target are for --snapshot" in result.output
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--pixel-error 2", "--max-triangles 9", "--max-error 1", "--colours error", "--band 2",
+     "--encoding terrarium"],
+)  # fmt: skip
+def test_a_mesh_is_refused_what_is_for_rasters(option):
+    result = CliRunner().invoke(app, ["view", "missing.ply", *option.split()])
+    assert result.exit_code == 2
+    flag = option if "colours" in option else option.split()[0]
+    assert f"{flag} is for rasters" in result.output
+
+
+@needs_renderer
+@pytest.mark.parametrize(("flatter", "told"), [("1", True), ("0.1", False)])
+def test_heights_that_make_a_needle_are_pointed_out(tmp_path, flatter, told):
+    np.save(tmp_path / "dem.npy", np.pad([[100.0]], 8))
+    command = ["view", str(tmp_path / "dem.npy"), "--snapshot", str(tmp_path / "a.png")]
+    more = ["--size", "160x90", "--exaggeration", flatter]
+    result = CliRunner().invoke(app, [*command, *more])
+    assert result.exit_code == 0, result.output
+    assert ("range over 100, x and y over 16 " in result.output) == told
+    assert ("--exaggeration 0.03 flattens" in result.output) == told
 
 
 @pytest.mark.parametrize("flag", [("--snapshot", "a.png"), ("--record", "a.gif")])

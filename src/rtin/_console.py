@@ -32,6 +32,7 @@ __all__ = [
     "report",
     "say",
     "say_if_not_compiled",
+    "values_are_usage",
 ]
 
 _QUIET_SECONDS = 1.0
@@ -186,6 +187,15 @@ def one_line_errors() -> Iterator[None]:
             raise
         give_up(error)
         raise typer.Exit(1) from None
+
+
+@contextmanager
+def values_are_usage() -> Iterator[None]:
+    """Take a ValueError about what stands on the command line for bad usage."""
+    try:
+        yield
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def give_up(error: Exception) -> None:

@@ -20,12 +20,16 @@ def listening(host: str, port: int) -> socket.socket:
         family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server(place[:2], family=family, backlog=512)
     except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
-        reason = "another program uses it" if taken else error.strerror or str(error)
-        raise OSError(
-            f"cannot serve on port {port} of {host}: {reason}; "
-            "choose another port, or 0 for any that is free"
-        ) from None
+        raise OSError(f"cannot serve on port {port} of {host}: {_remedy(error)}") from None
+
+
+def _remedy(error: OSError) -> str:
+    """Return what is wrong and what to do."""
+    if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+        return "this machine has no such address; 127.0.0.1 is this machine alone, 0.0.0.0 all"
+    taken = error.errno == errno.EADDRINUSE
+    reason = "another program uses it" if taken else error.strerror or str(error)
+    return f"{reason}; choose another port, or 0 for any that is free"
 
 
 def address(host: str, port: int) -> str:

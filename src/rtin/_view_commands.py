@@ -21,6 +21,7 @@ from rtin._console import (
     progress_bar,
     say,
     say_if_not_compiled,
+    values_are_usage,
 )
 
 if TYPE_CHECKING:
@@ -89,11 +90,24 @@ def view(
     With --snapshot or --record, write a picture or a film instead: no screen is needed.
     """
     with one_line_errors(), ExitStack() as stack:
+        from rtin.io.meshes import is_mesh_path
         from rtin.viewer.opening import Opening
 
-        usual = "hillshade" if photo is None else "orthophoto"
+        if snapshot is None and (eye is not None or target is not None):
+            raise typer.BadParameter("--eye and --target are for --snapshot")
         if colours == "orthophoto" and photo is None:
             raise typer.BadParameter("--colours orthophoto needs --orthophoto IMAGE")
+        if is_mesh_path(path):
+            given = {
+                "--pixel-error": pixel_error is not None,
+                "--max-triangles": max_triangles is not None,
+                "--max-error": max_error is not None,
+                "--colours error": colours == "error",
+                "--band": band > 1,
+                "--encoding": encoding is not None,
+            }
+            _require_none_for_a_mesh(path, given)
+        usual = "hillshade" if photo is None else "orthophoto"
         settings = replace(
             _settings(pixel_error, max_triangles, max_error, exaggeration, colours or usual),
             wireframe=wireframe,
@@ -105,8 +119,6 @@ def view(
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             _draw(opening, path.name, photo, settings, out)
             return
-        if eye is not None or target is not None:
-            raise typer.BadParameter("--eye and --target are for --snapshot")
         from rtin.viewer.page import Page, run
 
         with progress(f"opening {path.name}"):
@@ -115,6 +127,7 @@ def view(
         say_if_not_compiled("rtin.lod")
         with progress(f"preparing {path.name}"):
             terrain = _terrain(first, photo)
+        _say_if_a_needle(path.name, first, exaggeration)
         page = stack.enter_context(Page(terrain, host, port, settings=settings, title=path.name))
         opening.go_on(
             lambda finer: page.replace(_terrain(finer, photo, terrain.place)),
@@ -143,12 +156,13 @@ def _require_possible(out: _Out) -> None:
     """Raise now what writing would raise because of paths, the size or what is not installed."""
     from rtin.viewer import pictures
 
-    if out.snapshot is not None:
-        pictures.require_still_path(out.snapshot)
-        pictures.require_size(out.size)
-    if out.record is not None:
-        pictures.require_film_path(out.record)
-        pictures.film_size(out.record, out.size)
+    with values_are_usage():
+        if out.snapshot is not None:
+            pictures.require_still_path(out.snapshot)
+            pictures.require_size(out.size)
+        if out.record is not None:
+            pictures.require_film_path(out.record)
+            pictures.film_size(out.record, out.size)
     pictures.require_something_to_draw_with()
 
 
@@ -161,6 +175,7 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
     say_if_not_compiled("rtin.lod")
     with progress(f"preparing {name}"):
         terrain = _terrain(opened, photo)
+    _say_if_a_needle(name, opened, settings.exaggeration)
     place, higher = terrain.place, settings.exaggeration
     if out.snapshot is not None:
         view = cameras.overlook(terrain, higher, out.size[0] / out.size[1])
@@ -179,6 +194,26 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
             pictures.record(terrain, out.record, views, settings=settings, size=out.size, tell=tell)
         width, height = pictures.film_size(out.record, out.size)
         announce(f"{out.record}: {out.frames} pictures of {width} × {height} pixels")
+
+
+def _require_none_for_a_mesh(path: Path, given: dict[str, bool]) -> None:
+    """Refuse flags that say how to read or to coarsen a raster."""
+    for flag, is_given in given.items():
+        if is_given:
+            raise typer.BadParameter(f"{flag} is for rasters; {path} is a mesh, shown as it is")
+
+
+def _say_if_a_needle(name: str, opened: Opened, exaggeration: float) -> None:
+    """Point out heights in another unit than x and y, as those of most tiles without a CRS."""
+    from rtin.viewer.scene import bounds_of
+
+    width, depth, height = (bounds_of(opened.surface)[1] - bounds_of(opened.surface)[0]).tolist()
+    wide = max(width, depth)
+    if exaggeration * height > wide:
+        say(
+            f"{name}: heights range over {height:.4g}, x and y over {wide:.4g} at most; "
+            f"are the units the same? --exaggeration {0.2 * wide / height:.1g} flattens it"
+        )
 
 
 def _size(text: str) -> tuple[int, int]:

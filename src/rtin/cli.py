@@ -6,8 +6,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +26,7 @@ from rtin._console import (
     report,
     say,
     say_if_not_compiled,
+    values_are_usage,
 )
 from rtin._tile_commands import serve, tiles
 from rtin._version import __version__
@@ -342,7 +342,7 @@ def plot(
         from rtin.io.meshes import read_mesh
         from rtin.plotting import require_picture_path, save_picture
 
-        with _values_are_usage():
+        with values_are_usage():
             require_picture_path(out)
         with progress(f"reading {path}"):
             mesh = read_mesh(path)
@@ -552,7 +552,7 @@ def study_accuracy(
         from rtin.studies import accuracy, accuracy_pictures
 
         started = time.perf_counter()
-        with _values_are_usage():
+        with values_are_usage():
             names = accuracy.names_with(against)
         accuracy_pictures.require_places(out)
         grid = None if dem is None else _read_grid(dem, band, window, encoding)
@@ -776,7 +776,7 @@ def _refined(
     targets: Any
     for _ in range(asked.get("uniform", times)):
         if "where" in asked:
-            with _values_are_usage():
+            with values_are_usage():
                 targets = selection.where(mesh, asked["where"])
         elif "triangles" in asked:
             targets = selection.read_numbers(asked["triangles"])
@@ -900,7 +900,7 @@ def _require_reports(outputs: dict[str, Path], *inputs: Path | None) -> None:
         if out.resolve() in taken:
             raise typer.BadParameter(f"--{name} must be a file of its own, got {out}")
         taken.add(out.resolve())
-        with _values_are_usage():
+        with values_are_usage():
             if name == "picture":
                 require_picture_path(out)
             else:
@@ -987,7 +987,7 @@ def _compared_with_others(
 
     if is_mesh_path(path):
         raise typer.BadParameter(f"--max-error wants a raster to simplify, got the mesh {path}")
-    with _values_are_usage():
+    with values_are_usage():
         tolerances = comparison.tolerances_in(asked[0])
         names = comparison.names_in(asked[1])
     say_if_not_compiled("rtin.distance", seconds=30)
@@ -1084,17 +1084,8 @@ def _require_writable(out: Path, dem: Path | None) -> None:
 
     if dem is not None and out.exists() and dem.exists() and out.samefile(dem):
         raise typer.BadParameter(f"OUT must not be the raster itself, got {out} for both")
-    with _values_are_usage():
+    with values_are_usage():
         require_writable(out)
-
-
-@contextmanager
-def _values_are_usage() -> Iterator[None]:
-    """Take a ValueError about what stands on the command line for bad usage."""
-    try:
-        yield
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
 
 
 # --- messages -----------------------------------------------------------------------------------

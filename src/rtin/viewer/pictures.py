@@ -7,19 +7,30 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import replacing, require_place
+from rtin._options import require_word
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 from rtin.viewer._offscreen import require_renderer
 from rtin.viewer.cameras import overlook
 from rtin.viewer.colours import Drape, hillshade
 from rtin.viewer.opening import mesh_in_metres
-from rtin.viewer.scene import HORIZON, LIFT, SKY, Settings, Shown, Terrain, View, usual_painters
+from rtin.viewer.scene import (
+    HORIZON,
+    LIFT,
+    SKY,
+    Mode,
+    Settings,
+    Shown,
+    Terrain,
+    View,
+    usual_painters,
+)
 
 __all__ = [
     "as_terrain",
@@ -77,7 +88,7 @@ def picture(
     OSError
         If there is nothing to draw with.
     TypeError, ValueError
-        If the source or size is a wrong one.
+        If the source, size or settings are wrong ones.
     """
     with _Stage(size) as stage:
         terrain, settings = as_terrain(source), settings or Settings()
@@ -215,6 +226,20 @@ def as_terrain(source: _Source) -> Terrain:
     raise TypeError(f"a Grid, a TriangleMesh or a Terrain is wanted, got {type(source).__name__}")
 
 
+def _require_possible(settings: Settings, terrain: Terrain) -> None:
+    """Refuse settings that nobody can choose on the page.
+
+    The colours that nobody chose may be those of any terrain: the first ones it has.
+    """
+    require_word("mode", settings.mode, get_args(Mode))
+    if settings.colours != Settings.colours:
+        require_word("colours", settings.colours, terrain.painters)
+    for name in ("pixel_error", "max_triangles", "exaggeration"):
+        value = getattr(settings, name)
+        if not 0.0 < value < np.inf:
+            raise ValueError(f"{name} must be more than zero, got {value!r}")
+
+
 class _Stage:
     """A window of VTK that nobody sees; a context, which ends it."""
 
@@ -229,6 +254,7 @@ class _Stage:
         self._plotter.enable_anti_aliasing("ssaa")
 
     def draw(self, terrain: Terrain, view: View, settings: Settings) -> _Image:
+        _require_possible(settings, terrain)
         width, height = self._size
         view = View(view.eye, view.target, view.up, view.field_of_view, height, width / height)
         plotter = self._plotter
