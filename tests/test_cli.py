@@ -11,7 +11,8 @@ import trimesh
 from typer.testing import CliRunner
 
 import rtin
-from rtin import _console, cli, samples
+from rtin import cli, samples
+from rtin._commands import _console
 
 
 @pytest.fixture

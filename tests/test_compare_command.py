@@ -14,7 +14,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import rtin
-from rtin import _console, cli, samples, simplifiers
+from rtin import cli, samples, simplifiers
+from rtin._commands import _console
 from rtin.studies import comparison, comparison_pictures, comparison_report
 
 HEIGHTS = samples.jacksboro_fault().heights[100:165, 40:105]

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rtin._console import (
-    Band,
-    Encoding,
+from rtin._commands._console import (
     Json,
     announce,
     one_line_errors,
@@ -26,6 +24,7 @@ from rtin._console import (
     say,
     say_if_not_compiled,
 )
+from rtin._commands._surfaces import Band, Encoding
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What all commands share: options, progress on stderr, errors in one line, reports on stdout."""
+"""What all commands share: progress on stderr, errors in one line, reports on stdout."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 __all__ = [
-    "Band",
-    "Encoding",
-    "EncodingName",
     "Json",
     "announce",
     "give_up",
@@ -32,20 +29,12 @@ __all__ = [
     "report",
     "say",
     "say_if_not_compiled",
-    "values_are_usage",
 ]
 
 _QUIET_SECONDS = 1.0
 _SECONDS_BETWEEN_LINES = 10.0  # that say what share is done
 
 Json = Annotated[bool, typer.Option("--json", help="Print a JSON summary to stdout.")]
-Band = Annotated[int, typer.Option(min=1, help="Band to read, from 1 on.")]
-EncodingName = Literal["terrain-rgb", "terrarium", "none"]
-Encoding = Annotated[
-    EncodingName | None,
-    typer.Option(help="How the colours of a tile hold heights; none: they are heights."),
-]
-
 interrupted = threading.Event()
 
 
@@ -187,15 +176,6 @@ def one_line_errors() -> Iterator[None]:
             raise
         give_up(error)
         raise typer.Exit(1) from None
-
-
-@contextmanager
-def values_are_usage() -> Iterator[None]:
-    """Take a ValueError about what stands on the command line for bad usage."""
-    try:
-        yield
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
 
 
 def give_up(error: Exception) -> None:

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from rtin._console import (
-    Band,
-    Encoding,
+from rtin._commands._console import (
     announce,
     one_line,
     one_line_errors,
@@ -21,8 +19,9 @@ from rtin._console import (
     progress_bar,
     say,
     say_if_not_compiled,
-    values_are_usage,
 )
+from rtin._commands._surfaces import Band, Encoding
+from rtin._commands._usage import require_positive, values_are_usage
 
 if TYPE_CHECKING:
     from rtin.viewer.opening import Opened, Opening
@@ -259,24 +258,18 @@ def _settings(
 
     if sum(chosen is not None for chosen in (pixel_error, max_triangles, max_error)) > 1:
         raise typer.BadParameter("give one of --pixel-error, --max-triangles and --max-error")
-    pixel_error = Settings.pixel_error if pixel_error is None else pixel_error
-    _require_more_than_zero("--pixel-error", pixel_error)
-    _require_more_than_zero("--exaggeration", exaggeration)
+    require_positive("--pixel-error", pixel_error)
+    require_positive("--max-triangles", max_triangles)
+    require_positive("--exaggeration", exaggeration)
     if max_error is not None and not 0.0 <= max_error < float("inf"):
         raise typer.BadParameter(f"--max-error must be zero or more, got {max_error}")
     common: dict[str, Any] = {
-        "pixel_error": pixel_error,
+        "pixel_error": Settings.pixel_error if pixel_error is None else pixel_error,
         "exaggeration": exaggeration,
         "colours": colours,
     }
     if max_triangles is not None:
-        _require_more_than_zero("--max-triangles", max_triangles)
         return Settings("triangle budget", max_triangles=max_triangles, **common)
     if max_error is not None:
         return Settings("tolerance", max_error=max_error, **common)
     return Settings(**common)
-
-
-def _require_more_than_zero(flag: str, value: float) -> None:
-    if not 0.0 < value < float("inf"):
-        raise typer.BadParameter(f"{flag} must be more than zero, got {value}")
