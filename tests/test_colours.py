@@ -108,6 +108,13 @@ def test_heights_are_tinted_from_the_lowest_to_the_highest():
     )
 
 
+def test_zero_is_sea_where_anything_lies_below_it():
+    red, _, blue = _tint.tint(np.array([-20.0, 0.0, 1.0]), -20.0, 4000.0).T
+    np.testing.assert_array_equal(blue > red, [True, True, False])
+    red, _, blue = _tint.tint(np.array([0.0]), 0.0, 4000.0).T
+    assert blue < red
+
+
 def naive_differences(mesh, grid):
     """What ``by_error`` looks at, a sample at a time."""
     at = {tuple(np.round(xy, 6)): h for xy, h in zip(
