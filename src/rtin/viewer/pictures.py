@@ -50,6 +50,7 @@ SIZE = (1280, 720)
 _LARGEST = 8192  # pixels a side
 _STILLS = (".png", ".jpg", ".jpeg")
 _FILMS = (".mp4", ".gif")
+_FASTEST, _FASTEST_GIF = 1000.0, 50.0  # pictures a second; players slow faster GIFs down
 _INK = (0.13, 0.15, 0.2)
 _NEAR_EDGE = 1.0  # pixels: the width of edges
 
@@ -139,7 +140,7 @@ def record(
     settings, size
         As for ``picture``; an .mp4 has even numbers of pixels, rounded down.
     frames_per_second : float
-        At most 50 for a .gif.
+        At most 1000; 50 for a .gif, as players slow faster ones down.
     tell : function, optional
         Called after each picture with the share of them that is done.
 
@@ -154,8 +155,7 @@ def record(
         than views.
     """
     require_film_path(path)
-    if not 0.0 < frames_per_second <= 1000.0:
-        raise ValueError(f"frames_per_second must be more than zero, got {frames_per_second!r}")
+    _require_rate(path, frames_per_second)
     size = film_size(path, size)
     if len(views) == 0:
         raise ValueError("a film needs at least one view, got none")
@@ -308,6 +308,15 @@ class _Stage:
         trace: TracebackType | None,
     ) -> None:
         self._plotter.close()
+
+
+def _require_rate(path: str | os.PathLike[str], frames_per_second: float) -> None:
+    most = _FASTEST_GIF if Path(path).suffix.lower() == ".gif" else _FASTEST
+    if not 0.0 < frames_per_second <= most:
+        raise ValueError(
+            f"frames_per_second must be more than zero and at most {most:g} for "
+            f"{os.fspath(path)}, got {frames_per_second!r}"
+        )
 
 
 def _film(path: Path, frames_per_second: float) -> Any:  # noqa: ANN401  (imageio is an extra)
