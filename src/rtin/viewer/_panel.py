@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
@@ -9,7 +10,7 @@ import viser
 
 from rtin.viewer.scene import MOST_TRIANGLES, Mode, Picture, Settings
 
-__all__ = ["Panel", "told"]
+__all__ = ["Panel", "told", "told_failure"]
 
 _CHOSEN_BY = {
     "pixel error": "pixel_error",
@@ -20,6 +21,7 @@ _MOST_PIXELS, _MOST_HIGHER = 16.0, 10.0
 _OF_THE_RANGE = 0.1  # of heights: the largest tolerance
 _FIRST_OF_THAT = 0.05
 _STEPS = 1000
+_MARKS = re.compile(r"[\\`*_<\[\]]")  # of Markdown, as they stand in paths and names
 
 
 class Panel:
@@ -145,6 +147,12 @@ def told(picture: Picture, settings: Settings, frame_seconds: float, note: str =
         lines.append(f"within {kept} in height" if is_height else f"pixel error {kept}")
     times = f"mesh {1e3 * picture.mesh_seconds:.1f} ms, frame {1e3 * frame_seconds:.0f} ms"
     return "  \n".join([*lines, times, *filter(None, [note])])
+
+
+def told_failure(error: Exception) -> str:
+    """Return what went wrong, in bold Markdown; an error without a message has a name at least."""
+    message = " ".join(str(error).split()) or type(error).__name__
+    return "**" + _MARKS.sub(r"\\\g<0>", message) + "**"
 
 
 def _spaced(number: int) -> str:

@@ -33,7 +33,7 @@ try:
     import rich
     import viser
 
-    from rtin.viewer._panel import Panel, told
+    from rtin.viewer._panel import Panel, told, told_failure
 except ImportError as error:
     raise ImportError(f"the page needs viser ({error}): pip install 'rtin[view]'") from None
 
@@ -106,7 +106,7 @@ class Visitor:
         )
         self._nodes: list[viser.GlbHandle] = []
         self._moved = asyncio.Event()
-        self._newest = Newest(self._draw, lambda error: self.panel.show(f"**{error}**"))
+        self._newest = Newest(self._draw, self._tell)
         self._flight: asyncio.Task[None] | None = None
         self._flies = client.gui.add_checkbox(
             "Fly round", initial_value=False, hint="Until this is unchecked"
@@ -146,6 +146,11 @@ class Visitor:
         await self._show(picture)
         self.picture, self._drawn = picture, wanted
         self.panel.show(told(picture, settings, time.perf_counter() - started, terrain.note))
+
+    def _tell(self, error: Exception) -> None:
+        """Say what failed until the next picture, though that be the one that is seen."""
+        self._drawn = None
+        self.panel.show(told_failure(error))
 
     async def _show(self, picture: Picture) -> None:
         """Put a picture into the node behind, then bring that one to the front."""
@@ -252,6 +257,7 @@ class Page:
         self.settings = settings or Settings()
         self.visitors: dict[int, Visitor] = {}
         self.drawers = ThreadPoolExecutor(_DRAWERS, "rtin-draw")
+        self._is_closed = False
         self._server = _started(host, port)
         self.address = address(host, self._server.get_port())
         self._server.gui.set_panel_label(title)
@@ -269,7 +275,10 @@ class Page:
             self._server.get_event_loop().call_soon_threadsafe(self._present, terrain)
 
     def close(self) -> None:
-        """Let everybody go, and end the server and its threads."""
+        """Let everybody go, and end the server and its threads; a second time changes nothing."""
+        if self._is_closed:
+            return
+        self._is_closed = True  # nobody who comes now is let in
         loop = self._server.get_event_loop()
         asyncio.run_coroutine_threadsafe(self._forget_all(), loop).result()
         with _quiet():
@@ -291,7 +300,8 @@ class Page:
         camera.fov, camera.near, camera.far = math.radians(first.field_of_view), _NEAR, self.reach
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
-        self.visitors[client.client_id] = Visitor(client, self)
+        if not self._is_closed:
+            self.visitors[client.client_id] = Visitor(client, self)
 
     async def _forget(self, client: viser.ClientHandle) -> None:
         visitor = self.visitors.pop(client.client_id, None)
