@@ -11,6 +11,7 @@ import threading
 import time
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -137,9 +138,10 @@ def test_a_tolerance_holds_for_what_is_drawn(terrain):
 
 
 UPWARDS = View((0.0, -60.0, -2.0), (0.0, 0.0, 6.0), field_of_view=15.0, height=600)
+WIDE = View((0.0, -20.0, 20.0), (0.0, 0.0, 4.0), field_of_view=165.0, height=9000)
 
 
-@pytest.mark.parametrize("view", [OVERVIEW, UPWARDS], ids=["overview", "upwards"])
+@pytest.mark.parametrize("view", [OVERVIEW, UPWARDS, WIDE], ids=["overview", "upwards", "wide"])
 @pytest.mark.parametrize("exaggeration", [0.6, 5.0])
 def test_an_exaggerated_error_keeps_the_pixels(terrain, view, exaggeration):
     """As if the raster had been so high, seen from the same place."""
@@ -209,6 +211,8 @@ def test_a_picture_depends_on_the_camera_only_where_the_mesh_does(terrain):
     assert terrain.depends_on(OVERVIEW, chosen) != terrain.depends_on(
         OVERVIEW, Settings("tolerance")
     )
+    others = replace(chosen, pixel_error=7.0, max_triangles=9)
+    assert terrain.depends_on(OVERVIEW, chosen) == terrain.depends_on(OVERVIEW, others)
 
 
 @pytest.mark.parametrize(
@@ -228,6 +232,11 @@ def test_the_wireframe_has_each_edge_once(terrain):
     positions, triangles, _, edges = decoded(picture.glb)
     mesh = rtin.TriangleMesh(positions, triangles.astype(int))
     assert np.array_equal(edges, mesh.edges())
+    length = int.from_bytes(picture.glb[12:16], "little")
+    _, net = json.loads(picture.glb[20 : 20 + length])["nodes"]
+    x, y, lift = net["translation"]
+    assert x == y == 0.0
+    assert 1e-4 < lift / np.linalg.norm(np.subtract(OVERVIEW.eye, OVERVIEW.target)) < 1e-2
 
 
 def test_a_mesh_is_shown_as_it_is():
@@ -316,6 +325,31 @@ def test_a_taken_port_is_told(terrain):
             pages.Page(terrain, port=port)
     with pytest.raises(ValueError, match="port must be 0 to 65535, got 70000"):
         pages.Page(terrain, port=70000)
+
+
+def test_a_port_that_is_taken_meanwhile_is_told(terrain, monkeypatch):
+    """viser itself would serve on the next one."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        monkeypatch.setattr(pages, "listening", lambda host, port: taken.dup())
+        with pytest.raises(OSError, match="another program has just taken it"):
+            pages.Page(terrain, port=0)
+
+
+def test_a_window_without_any_height_is_taken_for_a_small_one():
+    camera = SimpleNamespace(
+        image_height=0, image_width=0, fov=1.0, position=(0.0, -9.0, 5.0),
+        look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0),
+    )  # fmt: skip
+    view = pages._view(camera)
+    assert (view.height, view.aspect) == (16, 1.0)
+    assert view.field_of_view == pytest.approx(np.degrees(1.0))
+
+
+def test_a_page_may_be_closed_twice_and_lets_nobody_in_after(terrain):
+    with pages.Page(terrain, port=0) as page:
+        page.close()
+        asyncio.run(page._welcome(None))
+    assert page.visitors == {}
 
 
 def test_a_page_prints_nothing_and_leaves_no_thread(terrain, capfd):
@@ -627,13 +661,38 @@ def test_a_tab_that_is_closed_leaves_nothing_behind(browser, own_page, caplog):
     assert caplog.messages == []  # asyncio tells of tasks that nobody has ended
 
 
+def test_closing_a_page_that_is_looked_at_leaves_no_thread(browser, terrain):
+    before = set(threading.enumerate())
+    with pages.Page(terrain, port=0) as page:
+        tab = Tab(browser, page)
+        tab.tab.get_by_label("Fly round").click()
+        tab.until(lambda: tab.visitor._flight is not None)
+    until(lambda: set(threading.enumerate()) <= before)
+    tab.tab.close()
+
+
+def test_a_picture_that_fails_is_told_on_the_page_until_the_next_one(browser):
+    def fail(mesh):
+        raise ValueError("no *paint* is\nleft")
+
+    painted = Terrain(hills((9, 9)), painters={"grey": painted_in((0.5, 0.5, 0.5)), "none": fail})
+    with pages.Page(painted, port=0) as page:
+        tab = Tab(browser, page)
+        tab.choose("Colours", "none")
+        tab.tab.wait_for_selector("text=no *paint* is left")
+        tab.choose("Colours", "grey")
+        tab.tab.wait_for_selector("text=triangles")
+        tab.tab.close()
+
+
 def test_another_terrain_takes_the_place_of_the_first(browser):
     coarse = Terrain(hills((17, 25), step=240.0))
     with pages.Page(coarse, port=0) as page:
         tab = Tab(browser, page)
         before = tab.settled()
-        page.replace(Terrain(hills(), place=coarse.place))
+        page.replace(Terrain(hills(), place=coarse.place, note="all 129 × 200 samples"))
         after = tab.settled()
+        tab.tab.wait_for_selector("text=all 129 × 200 samples")
         tab.choose("By", "tolerance")
         tab.until(lambda: tab.visitor.panel.settings.mode == "tolerance")
         tab.settled()  # the tab shows the other slider

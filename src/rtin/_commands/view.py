@@ -25,6 +25,7 @@ from rtin._commands._usage import require_positive, values_are_usage
 
 if TYPE_CHECKING:
     from rtin.viewer.opening import Opened, Opening
+    from rtin.viewer.page import Page
     from rtin.viewer.scene import Place, Settings, Terrain
 
 __all__ = ["view"]
@@ -123,15 +124,9 @@ def view(
         with progress(f"opening {path.name}"):
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             first = opening.first()
-        say_if_not_compiled("rtin.lod")
-        with progress(f"preparing {path.name}"):
-            terrain = _terrain(first, photo)
-        _say_if_a_needle(path.name, first, exaggeration)
+        terrain = _prepared(first, path.name, photo, exaggeration)
         page = stack.enter_context(Page(terrain, host, port, settings=settings, title=path.name))
-        opening.go_on(
-            lambda finer: page.replace(_terrain(finer, photo, terrain.place)),
-            lambda error: say(f"the rest of {path.name} is not shown: {one_line(error)}"),
-        )
+        _go_on(opening, page, path.name, photo)
         if not no_browser:
             webbrowser.open(page.address)
         run(page, say=announce)
@@ -171,10 +166,7 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
 
     with progress(f"opening {name}"):
         opened = opening.finest()
-    say_if_not_compiled("rtin.lod")
-    with progress(f"preparing {name}"):
-        terrain = _terrain(opened, photo)
-    _say_if_a_needle(name, opened, settings.exaggeration)
+    terrain = _prepared(opened, name, photo, settings.exaggeration)
     place, higher = terrain.place, settings.exaggeration
     if out.snapshot is not None:
         view = cameras.overlook(terrain, higher, out.size[0] / out.size[1])
@@ -193,6 +185,18 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
             pictures.record(terrain, out.record, views, settings=settings, size=out.size, tell=tell)
         width, height = pictures.film_size(out.record, out.size)
         announce(f"{out.record}: {out.frames} pictures of {width} × {height} pixels")
+
+
+def _go_on(opening: Opening, page: Page, name: str, photo: Path | None) -> None:
+    """Have finer stages take the place of the first; say here and on the page if one fails."""
+    place = page.terrain.place
+
+    def give_up(error: Exception) -> None:
+        reason = f"the rest of {name} is not shown: {one_line(error)}"
+        say(reason)
+        page.replace(page.terrain.noted(reason))
+
+    opening.go_on(lambda finer: page.replace(_terrain(finer, photo, place)), give_up)
 
 
 def _require_none_for_a_mesh(path: Path, given: dict[str, bool]) -> None:
@@ -237,6 +241,15 @@ def _point(flag: str, text: str) -> _Point:
     except ValueError:
         raise typer.BadParameter(f"{flag} must be three numbers, x,y,z; got {text!r}") from None
     return x, y, z
+
+
+def _prepared(opened: Opened, name: str, photo: Path | None, exaggeration: float) -> Terrain:
+    """Return what is drawn first, and say on stderr what there is to say of it."""
+    say_if_not_compiled("rtin.lod")
+    with progress(f"preparing {name}"):
+        terrain = _terrain(opened, photo)
+    _say_if_a_needle(name, opened, exaggeration)
+    return terrain
 
 
 def _terrain(opened: Opened, photo: Path | None, place: Place | None = None) -> Terrain:

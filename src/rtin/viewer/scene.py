@@ -6,6 +6,7 @@ and float32 vertices are good to a hundred-thousandth of a unit. z is up.
 
 from __future__ import annotations
 
+import copy
 import os
 import time
 from dataclasses import dataclass, replace
@@ -42,7 +43,7 @@ __all__ = [
 
 SIDE = 100.0  # units: the longer side of a terrain
 _WIDER = 1.3  # than what is seen: a camera turns further before the next mesh is there
-_WIDEST = 150.0  # degrees
+_WIDEST = 150.0  # degrees, unless a view itself is wider
 LIFT = 5e-4  # of the distance looked over: edges lie above the triangles that they would cut
 MOST_TRIANGLES = 500_000  # of a picture: 11 MB to send, and what a browser still turns smoothly
 _SHADE = 0.3  # of the colour: what is left where no light falls
@@ -170,6 +171,12 @@ class Terrain:
         self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
         self._mesh = surface if isinstance(surface, TriangleMesh) else None
 
+    def noted(self, note: str) -> Terrain:
+        """Return the same terrain with another note."""
+        other = copy.copy(self)
+        other.note = note
+        return other
+
     @property
     def has_levels(self) -> bool:
         """Whether there is a level of detail to choose."""
@@ -237,7 +244,7 @@ class Terrain:
         A plane of the world as it is drawn is one of the world, of another slope.
         """
         drawn = [self.place.into_world(point) for point in (view.eye, view.target)]
-        angle = min(_WIDER * view.field_of_view, _WIDEST)
+        angle = max(view.field_of_view, min(_WIDER * view.field_of_view, _WIDEST))
         planes = frustum(*drawn, field_of_view=angle, aspect=view.aspect, up=view.up)
         middle = self.place.middle[2]
         planes[:, 3] += planes[:, 2] * middle * (1.0 - exaggeration)
