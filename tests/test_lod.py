@@ -474,7 +474,9 @@ def test_any_error_is_allowed_but_what_the_eye_is_in():
     assert far.mesh.n_triangles == 2
     within = lod.frame((30.0, -30.0, 0.0), pixel_error=math.inf)
     assert 2 < within.mesh.n_triangles < 200
-    for frame in (far, within):
+    least = lod.frame((30.0, -30.0, 0.0), max_triangles=2)
+    assert least.mesh.n_triangles == 2
+    for frame in (far, within, least):
         assert frame.pixel_error == math.inf
         assert (frame.weights == 1.0).all()
 

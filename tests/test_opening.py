@@ -254,6 +254,20 @@ def test_a_limit_of_memory_is_kept_and_said(tmp_path):
     )
 
 
+def test_doubles_take_more_memory(tmp_path):
+    path = write_raster(tmp_path / "a.tif", terrain().astype(np.float64), transform=PLACE)
+    (only,) = stages(path, memory_limit=14 * 10_000)
+    assert only.surface.heights.size <= 14 * 10_000 / 26
+    assert "take 819 kB of memory" in only.note
+
+
+@pytest.mark.parametrize(("free", "step"), [(28 * 31_500, 1.0), (28 * 31_499, 2.0), (None, 1.0)])
+def test_half_of_the_free_memory_may_be_taken(tmp_path, monkeypatch, free, step):
+    monkeypatch.setattr(opening, "available_memory", lambda: free)
+    (only,) = stages(write_raster(tmp_path / "a.tif", terrain(), transform=PLACE))
+    assert only.step == step
+
+
 def test_a_first_grid_without_any_triangle_is_passed_over(tmp_path, coarse):
     heights = np.full((150, 210), np.nan, np.float32)
     heights[61:79, 101:119] = 7.0
@@ -383,6 +397,22 @@ def test_what_goes_wrong_with_a_stage_that_was_read_is_told(tmp_path, coarse):
         opens.go_on(stumble, lambda error: found.append(error) or done.set())
         assert done.wait(60)
     assert [str(error) for error in found] == ["no room for a hierarchy"]
+
+
+def test_what_goes_wrong_after_closing_is_nobodys_business(tmp_path, coarse):
+    path = write_raster(tmp_path / "a.tif", terrain(), transform=PLACE)
+    opens = Opening(path)
+    opens.first()
+
+    def close_and_stumble(opened):
+        opens.close()
+        raise RuntimeError("there is no page any more")
+
+    told = []
+    opens.go_on(close_and_stumble, told.append)
+    opens._thread.join(60)
+    assert not opens._thread.is_alive()
+    assert told == []
 
 
 def test_nothing_goes_on_after_a_whole_one(tmp_path):

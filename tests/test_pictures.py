@@ -147,6 +147,8 @@ def test_vertices_may_have_colours_of_ones_own():
     )
     image = pictures.picture(red, settings=Settings(colours="red"), size=SMALL)
     assert (image[35:55, 60:100] == [255, 0, 0]).all()
+    blended = shows_terrain(image) & (image != [255, 0, 0]).any(axis=2)
+    assert blended.sum() > 30  # along the border, which is smoothed
 
 
 @needs_renderer
@@ -233,6 +235,37 @@ def test_a_film_may_show_another_terrain_in_each_view(tmp_path):
     view = View((0.0, -120.0, 10.0), (0.0, 0.0, 0.0))
     pictures.record(terrains, path, [view] * 3, size=SMALL)
     assert all(np.abs(a - b).max() > 40 for a, b in pairwise(frames(path)))
+
+
+@needs_renderer
+def test_nothing_of_a_picture_is_left_in_the_next_one():
+    """Neither terrain nor drape nor how far the camera sees."""
+    row, col = np.indices((33, 33))
+    place = (30.0, 0.0, 0.0, 0.0, -30.0, 0.0)
+    heights = (300.0 * np.sin(row / 5.0), 10.0 * np.sin(col / 3.0), np.zeros((33, 33)))
+    sources = [pictures.as_terrain(rtin.Grid(height, place)) for height in heights]
+    views = View((0.0, -900.0, 600.0), (0.0, 0.0, 0.0)), View((0.0, -20.0, 30.0), (0.0, 0.0, 0.0))
+    scenes = [(source, view) for source in sources for view in views]
+    with pictures._Stage(SMALL) as stage:
+        drawn = [stage.draw(*scene, Settings()) for scene in scenes]
+    for image, scene in zip(drawn, scenes, strict=True):
+        assert (image == pictures.picture(*scene, size=SMALL)).mean() > 0.999
+
+
+@needs_renderer
+@pytest.mark.parametrize("rate", [10.0, 25.0])
+def test_a_film_is_as_fast_as_it_was_asked_for_and_a_gif_never_ends(terrain, tmp_path, rate):
+    import imageio_ffmpeg
+
+    for name in ("a.gif", "a.mp4"):
+        views = cameras.orbit(3, terrain)
+        pictures.record(terrain, tmp_path / name, views, size=SMALL, frames_per_second=rate)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.info["duration"] == pytest.approx(1000.0 / rate)
+        assert film.info["loop"] == 0
+    reader = imageio_ffmpeg.read_frames(tmp_path / "a.mp4")
+    assert next(reader)["fps"] == pytest.approx(rate)
+    reader.close()
 
 
 @needs_renderer

@@ -96,6 +96,11 @@ def test_the_world_and_the_scene_are_each_others_inverse(exaggeration, offset):
     assert np.allclose(place.into_world(there, exaggeration), point, rtol=1e-12)
 
 
+def test_what_has_no_extent_has_a_place_too():
+    place = Place.of(np.array([[7.0, 8.0, 0.0], [7.0, 8.0, 9.0]]))
+    assert place.into_scene([7.0, 8.0, 9.0]).tolist() == [0.0, 0.0, 4.5 * SIDE]
+
+
 def test_the_longer_side_of_a_scene_is_known_and_its_middle_is_zero(terrain):
     positions, _, _, _ = decoded(terrain.draw(OVERVIEW, Settings()).glb)
     assert np.allclose([positions.min(axis=0)[0], positions.max(axis=0)[0]], [-SIDE / 2, SIDE / 2])
