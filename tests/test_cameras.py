@@ -104,7 +104,9 @@ def test_a_flight_has_no_jumps_and_ends_where_it_began():
 def test_a_flight_looks_ahead_along_its_path_at_the_ground():
     level = rtin.Grid(np.full((30, 30), 700.0), (25.0, 0.0, 0.0, 0.0, -25.0, 0.0))
     views = cameras.flight(level, Place.of(bounds_of(level)), 500)
-    eyes, targets = (np.array([getattr(view, name) for view in views]) for name in ("eye", "target"))
+    eyes, targets = (
+        np.array([getattr(view, name) for view in views]) for name in ("eye", "target")
+    )
     ahead = np.roll(eyes, -30, axis=0)  # 0.06 of the path
     assert np.allclose(targets[:, :2], ahead[:, :2])
     assert np.allclose(targets[:, 2], 0.0)

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from rtin import _parallel
 from rtin._number import as_number
 from rtin._options import MOST, as_count, as_height, the_only_option
+from rtin._tolerance_search import ToleranceSearch, a_bit_finer
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
 
@@ -37,10 +38,6 @@ _ROUNDING = 1.0 + 1e-9
 _CENTRE, _EDGE = 0, 3
 _FINITE = float(np.finfo(np.float64).max)
 _SPARE = 256  # vertices more than a budget's to walk over
-_A_BIT_FINER = 0.9  # than the last tolerance, to exceed the budget at the first walk
-_NARROW = 1.01
-_FIRST_STEP, _LONG_STEP = 6.0, 10.0  # octaves of tolerance
-_FINEST, _COARSEST = 1e-30, 1e300  # tolerances to look for
 
 _Floats = NDArray[np.float64]
 _Planes = NDArray[np.float64]
@@ -406,8 +403,8 @@ class LevelOfDetail:
         """
         from rtin._kernels.lod import tolerance_within
 
-        kind = view is not _NOBODY
-        search = _Search(self._guesses[kind])
+        has_eye = view is not _NOBODY
+        search = ToleranceSearch(self._guesses[has_eye])
         most = min(2 * budget + _SPARE, MOST)
         while True:
             walked = self._walk(view, search.tolerance, MOST if search.is_narrow else most)
@@ -422,8 +419,8 @@ class LevelOfDetail:
             search.go_finer(len(walked.weights), budget / 2)
         tolerance = max(tolerance, 0.0)
         if math.isfinite(tolerance):
-            self._guesses[kind] = _A_BIT_FINER * tolerance
-        elif not kind:
+            self._guesses[has_eye] = a_bit_finer(tolerance)
+        elif not has_eye:
             least = len(self._triangles(walked, _FINITE))
             raise ValueError(
                 f"max_triangles must be at least {least} for this outline, got {budget}"
@@ -525,44 +522,6 @@ def _direction(vector: _Floats) -> _Floats:
         return vector
     scaled = vector / largest
     return np.asarray(scaled / np.linalg.norm(scaled))
-
-
-class _Search:
-    """A search for a tolerance just fine enough to exceed a budget."""
-
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
-        self.is_narrow = False
-        self._too_fine, self._too_coarse = 0.0, math.inf
-        self._n_before = 0  # vertices above the tolerance that was too coarse
-
-    def go_coarser(self, least: float) -> None:
-        """Go on after a walk that was broken off; for what it found that tolerance is the least."""
-        self._too_fine = max(self.tolerance, _FINEST)
-        middle = math.sqrt(self._too_fine * min(self._too_coarse, _COARSEST))
-        wanted = max(min(4.0 * self.tolerance, middle), _A_BIT_FINER * least)
-        self._go(min(wanted, _COARSEST) if wanted > self._too_fine else middle)
-
-    def go_finer(self, n: int, n_wanted: float) -> None:
-        """Go on after a walk that found n vertices, too few; at the rate of the last step."""
-        if math.isinf(self._too_coarse):
-            octaves = min(math.log2(max(n_wanted / n, 1.0)), _FIRST_STEP)
-        else:
-            gained = (n - self._n_before) / math.log2(self._too_coarse / self.tolerance)
-            octaves = max(n_wanted - n, 0.0) / gained if gained > 0.0 else math.inf
-        self._too_coarse, self._n_before = self.tolerance, n
-        if octaves > _LONG_STEP and self._too_fine == 0.0:
-            self._go(0.0)  # hardly anything is left to find
-            return
-        wanted = _A_BIT_FINER * self.tolerance * 2.0**-octaves
-        self._go(max(wanted, math.sqrt(self._too_fine * self._too_coarse)))
-
-    def _go(self, tolerance: float) -> None:
-        if min(self._too_coarse, _COARSEST) < self._too_fine * _NARROW:
-            # Many weigh the same, as all that voids demand do: walk over all of them.
-            self.is_narrow = True
-            tolerance, self._too_fine = self._too_fine, 0.0
-        self.tolerance = tolerance if tolerance >= _FINEST else 0.0
 
 
 # --- the hierarchy --------------------------------------------------------------------------------
