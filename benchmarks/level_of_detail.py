@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 import rtin
 from measuring import fractal_terrain, milliseconds, seconds, show
+from rtin.lod import GROWTH
 
 FIELD_OF_VIEW, HEIGHT, ASPECT = 60.0, 1080, 16.0 / 9.0
 PIXELS = HEIGHT / (2.0 * math.tan(math.radians(FIELD_OF_VIEW) / 2.0))  # of 1 m in 1 m
@@ -32,10 +33,10 @@ Rows = list[dict[str, object]]
 
 
 class Seen(NamedTuple):
-    """One view: an eye, and the planes around what it sees."""
+    """One view: an eye, and the planes around what it sees, if not all round."""
 
     eye: Floats
-    planes: Floats
+    planes: Floats | None
 
 
 class Scene(NamedTuple):
@@ -72,25 +73,34 @@ def scene_of(name: str, grid: rtin.Grid) -> Scene:
 def views(scene: Scene, n_triangles: int) -> Rows:
     """Time every view of the flight in each way, after a few to warm up."""
     lod = scene.lod
-    kept = [
-        lod.frame(eye, max_triangles=n_triangles, frustum=planes).pixel_error
-        for eye, planes in scene.flight
-    ]
-    ways: dict[str, Callable[[int, Seen], rtin.TriangleMesh]] = {
-        "frame, budget, frustum": lambda _, seen: (
+    around = [seen._replace(planes=None) for seen in scene.flight]
+    kept, kept_around = (_kept(lod, flight, n_triangles) for flight in (scene.flight, around))
+    ways: dict[str, tuple[float, Callable[[int, Seen], rtin.TriangleMesh]]] = {
+        "frame, budget, frustum": (median(kept), lambda _, seen: (
             lod.frame(seen.eye, max_triangles=n_triangles, frustum=seen.planes).mesh
-        ),
-        "mesh, budget, frustum": lambda _, seen: lod.mesh(
+        )),
+        "mesh, budget, frustum": (median(kept) / GROWTH**2, lambda _, seen: lod.mesh(
             seen.eye, max_triangles=n_triangles, frustum=seen.planes
-        ),
-        "mesh, budget, all round": lambda _, seen: lod.mesh(seen.eye, max_triangles=n_triangles),
-        "frame, pixel error, frustum": lambda i, seen: (
+        )),
+        "mesh, budget, all round": (median(kept_around) / GROWTH**2, lambda _, seen: lod.mesh(
+            seen.eye, max_triangles=n_triangles
+        )),
+        "frame, pixel error, frustum": (median(kept), lambda i, seen: (
             lod.frame(seen.eye, pixel_error=kept[i], frustum=seen.planes).mesh
-        ),
-    }
+        )),
+    }  # fmt: skip
     return [
-        {"raster": scene.name, "what": way, **_figures(scene.flight, cut), "pixel error": tolerance}
-        for (way, cut), tolerance in zip(ways.items(), [round(median(kept), 2)] * 4, strict=True)
+        {"raster": scene.name, "what": way, **_figures(scene.flight, cut),
+         "pixel error": round(tolerance, 2)}
+        for way, (tolerance, cut) in ways.items()
+    ]  # fmt: skip
+
+
+def _kept(lod: rtin.LevelOfDetail, flight: list[Seen], n_triangles: int) -> list[float]:
+    """Return the pixel errors of frames within a budget."""
+    return [
+        lod.frame(seen.eye, max_triangles=n_triangles, frustum=seen.planes).pixel_error
+        for seen in flight
     ]
 
 
@@ -170,7 +180,7 @@ def worst_pixels(grid: rtin.Grid, field: Floats, seen: Seen) -> float:
         band = slice(first, first + 512)
         z, errors = grid.heights[band].astype(np.float64), np.abs(field[band])
         inside = np.isfinite(errors)
-        for p, q, r, s in seen.planes:
+        for p, q, r, s in () if seen.planes is None else seen.planes:
             inside &= p * x + (q * y[band])[:, None] + r * z + s >= 0.0
         down, across, up = y[band][:, None] - seen.eye[1], x - seen.eye[0], z - seen.eye[2]
         distance = np.sqrt(down * down + across * across + up * up)
