@@ -145,6 +145,7 @@ def test_counts_tolerance_times_and_note_are_told():
         "mesh 4.1 ms, frame 60 ms  ",
         "all 9 × 9 samples",
     ]
+    assert told(picture, Settings(), 0.06, "my_own_dem.tif").endswith(r"my\_own\_dem.tif")
     assert "within 2.5 in height" in told(picture, Settings("tolerance"), 0.06)
 
 

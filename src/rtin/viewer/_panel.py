@@ -146,13 +146,18 @@ def told(picture: Picture, settings: Settings, frame_seconds: float, note: str =
         is_height = settings.mode == "tolerance"
         lines.append(f"within {kept} in height" if is_height else f"pixel error {kept}")
     times = f"mesh {1e3 * picture.mesh_seconds:.1f} ms, frame {1e3 * frame_seconds:.0f} ms"
-    return "  \n".join([*lines, times, *filter(None, [note])])
+    return "  \n".join([*lines, times, *filter(None, [_as_it_stands(note)])])
 
 
 def told_failure(error: Exception) -> str:
     """Return what went wrong, in bold Markdown; an error without a message has a name at least."""
     message = " ".join(str(error).split()) or type(error).__name__
-    return "**" + _MARKS.sub(r"\\\g<0>", message) + "**"
+    return f"**{_as_it_stands(message)}**"
+
+
+def _as_it_stands(text: str) -> str:
+    """Return Markdown for a text that has none."""
+    return _MARKS.sub(r"\\\g<0>", text)
 
 
 def _spaced(number: int) -> str:
