@@ -36,9 +36,11 @@ def thread_count() -> int:
     return os.cpu_count() or 1
 
 
-def row_bands(n_rows: int, most: int = _MOST_BANDS) -> list[tuple[int, int]]:
+def row_bands(
+    n_rows: int, most: int = _MOST_BANDS, fewest: int = _FEWEST_ROWS
+) -> list[tuple[int, int]]:
     """Return ``(first, end)`` of consecutive bands of rows: the same on any number of threads."""
-    n_bands = max(1, min(n_rows // _FEWEST_ROWS, most))
+    n_bands = max(1, min(n_rows // fewest, most))
     edges = [n_rows * i // n_bands for i in range(n_bands + 1)]
     return list(pairwise(edges))
 

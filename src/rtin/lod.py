@@ -37,6 +37,7 @@ _ENDS_AHEAD = GROWTH**2  # the ends of an edge are two generations or more befor
 _ROUNDING = 1.0 + 1e-9
 _CENTRE, _EDGE = 0, 3
 _FINITE = float(np.finfo(np.float64).max)
+_FEWEST_ROWS = 16  # of a generation for a thread: those of large triangles are few but slow
 _SPARE = 256  # vertices more than a budget's to walk over
 
 _Floats = NDArray[np.float64]
@@ -152,7 +153,8 @@ class LevelOfDetail:
         self._guesses = [1.0, 1.0]  # tolerances for a budget: of heights, of pixels
         for level, kind in _generations(self._layout):
             _, width, rows = self._layout[level, kind : kind + 3]
-            bands = [(*band, 0, int(width)) for band in _parallel.row_bands(int(rows))]
+            bands_of_rows = _parallel.row_bands(int(rows), fewest=_FEWEST_ROWS)
+            bands = [(*band, 0, int(width)) for band in bands_of_rows]
             self._renew(level, kind, (0, grid.shape[0], 0, grid.shape[1]), bands, bands)
 
     @property

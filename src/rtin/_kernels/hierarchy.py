@@ -31,6 +31,7 @@ from rtin._kernels.planes import largest_in_row, triangle_plane
 
 CENTRE, EDGE = 0, 3  # columns of the layout
 ANY, ALL = 1, 2
+WHOLE = 5 * (ANY | ALL)  # both triangles
 ERROR, LOW, HIGH = 0, 1, 2
 SMALL = 16  # the spacing of triangles that are searched sample by sample
 SHORT = 8  # rows of triangles for which vector speed does not pay
@@ -136,17 +137,23 @@ def part_bound(heights, layout, own, wholes, plane_row, plane_col, plane, row, c
     return farthest + own[entry]
 
 
-@jit
+@inlined
 def triangle_error(heights, layout, own, wholes, row, col, direction):
-    """Largest distance of a sample of a triangle with three heights from its plane.
-
-    By branch and bound, the more promising half first: no sample of a part is farther away than
-    the part's own error and the distance of its corners together.
-    """
+    """Largest distance of a sample of a triangle with three heights from its plane."""
     spacing = spacing_of(row, col)
     plane = triangle_plane(heights, row, col, spacing, direction, is_centre(row, col, spacing))
     if spacing <= SMALL:
         return search(heights, row, col, plane, row, col, direction, 0.0)
+    return search_parts(heights, layout, own, wholes, plane, row, col, direction)
+
+
+@jit
+def search_parts(heights, layout, own, wholes, plane, row, col, direction):
+    """The same by branch and bound, the more promising half first.
+
+    No sample of a part is farther away than the part's own error and the distance of its corners
+    together.
+    """
     largest = 0.0
     stack, bounds, n_stack = np.empty((64, 3), np.int64), np.empty(64, np.float64), 1
     stack[0, 0], stack[0, 1], stack[0, 2], bounds[0] = row, col, direction, np.inf
@@ -179,14 +186,18 @@ def triangle_error(heights, layout, own, wholes, row, col, direction):
 
 
 @inlined
-def own_error(heights, layout, own, wholes, row, col):
-    """The largest error of the triangles whose hypotenuse a vertex bisects; rounded up."""
+def own_error(heights, layout, own, wholes, bits, row, col):
+    """The largest error of the triangles whose hypotenuse a vertex bisects; rounded up.
+
+    ``bits`` is what ``wholes`` says of the vertex.
+    """
     spacing = spacing_of(row, col)
     p_row, p_col, q_row, q_col = apexes(row, col, spacing)
     largest = 0.0
     for side in range(2):
         a_row, a_col = (p_row, p_col) if side == 0 else (q_row, q_col)
-        if has_three_heights(heights, row, col, a_row, a_col):
+        is_whole = bits >> (2 * side) & ALL
+        if is_whole or has_three_heights(heights, row, col, a_row, a_col):
             direction = direction_towards(
                 not is_centre(row, col, spacing), row - a_row, col - a_col
             )
@@ -326,11 +337,11 @@ def renew_own(heights, layout, patch, level, kind, first, end, left, right, own,
             if is_inside(row, col, size) and touches(kind, 1 << level, row, col, patch):
                 entry = entry_of(layout, level, kind, row, col)
                 if level == 0 and is_whole_cell(heights, row, col):
-                    wholes[entry] = 5 * (ANY | ALL)
+                    wholes[entry] = WHOLE
                     continue
                 wholes[entry] = joined_wholes(heights, layout, wholes, row, col)
                 if level > 0:
-                    own[entry] = own_error(heights, layout, own, wholes, row, col)
+                    own[entry] = own_error(heights, layout, own, wholes, wholes[entry], row, col)
 
 
 @inlined
@@ -445,9 +456,11 @@ def renew_bounds(
             if level > 0:
                 error = np.float64(own[entry])
             else:
-                error = np.float64(own_error(heights, layout, own, wholes, row, col))
+                error = np.float64(own_error(heights, layout, own, wholes, wholes[entry], row, col))
             splits = must_split(heights, wholes[entry], row, col)
-            low, high = range_of_corners(heights, row, col)
+            low, high = np.nan, np.nan
+            if level == 0 or wholes[entry] != WHOLE:  # else the children tell of all corners
+                low, high = range_of_corners(heights, row, col)
             for direction in range(4):
                 u_row, u_col = midpoint(row, col, 1 << level, direction)
                 if not is_inside(u_row, u_col, size):
