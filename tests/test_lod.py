@@ -975,7 +975,7 @@ def small():
         ({"max_triangles": 20}, "max_triangles must be at least .* for this outline, got 20"),
         ({"eye": EYE, "max_error": 1.0}, "max_error goes without an eye"),
         ({"eye": EYE, "pixel_error": 1.0, "max_triangles": 9}, "exactly one of"),
-        ({"eye": EYE, "pixel_error": -1.0}, "pixel_error must be zero or more"),
+        ({"eye": EYE, "pixel_error": -1.0}, "pixel_error must be zero or more, in pixels"),
         ({"eye": EYE, "pixel_error": math.nan}, "pixel_error must be zero or more"),
         ({"eye": EYE, "max_triangles": 1}, "max_triangles must be at least 2"),
         ({"eye": EYE[:2]}, "eye must be three finite numbers"),

@@ -351,7 +351,7 @@ def test_the_cut_is_as_good_as_the_flow():
         ({"weight": 1.0, "max_error": 1.0}, "weight does not go with norm='max'"),
         ({"norm": "l2", "max_vertices": 9}, "norm must be 'max' or 'rms', got 'l2'"),
         ({"norm": ["rms"], "max_vertices": 9}, "norm must be 'max' or 'rms', got"),
-        ({"norm": "rms", "weight": -1.0}, "weight must be zero or more, .* got -1.0"),
+        ({"norm": "rms", "weight": -1.0}, "weight must be zero or more, in squares of .* got -1.0"),
         ({"norm": "rms", "weight": np.nan}, "weight must be zero or more"),
         ({"norm": "rms", "max_vertices": 3}, "max_vertices must be at least 4 .* got 3"),
         ({"norm": "rms", "max_triangles": 1}, "max_triangles must be at least 2 .* got 1"),

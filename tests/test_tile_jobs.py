@@ -41,6 +41,7 @@ def dem(tmp_path_factory):
         ({"max_error": [float("inf")]}, ValueError, "max_error must be finite"),
         ({"max_error": [float("nan")]}, ValueError, "max_error must be zero or more"),
         ({"error_factor": float("inf")}, ValueError, "error_factor must be finite"),
+        ({"error_factor": -1.0}, ValueError, "error_factor must be zero or more, as a multiple"),
         ({"cells": "64"}, TypeError, "cells must be a whole number"),
         ({"cells": True}, TypeError, "cells must be a whole number"),
         ({"fill": float("nan")}, ValueError, "fill must be None or a finite height"),

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from rtin._number import as_number
 from rtin.grid import Grid
 
-__all__ = ["as_count", "as_height", "as_tolerance_map", "require_word", "the_only_option"]
+__all__ = [
+    "as_count",
+    "as_height",
+    "as_tolerance_map",
+    "as_zero_or_more",
+    "require_word",
+    "the_only_option",
+]
 
 MOST = int(np.iinfo(np.int64).max)  # no limit on a count
 
@@ -33,10 +40,15 @@ def require_word(name: str, value: Any, words: Iterable[str]) -> None:  # noqa: 
 
 def as_height(name: str, value: Any) -> float:  # noqa: ANN401
     """Return a height of zero or more as a float; raise TypeError or ValueError otherwise."""
-    height = as_number(name, value)
-    if not height >= 0.0:
-        raise ValueError(f"{name} must be zero or more, in the raster's height units, got {height}")
-    return height
+    return as_zero_or_more(name, value, "in the raster's height units")
+
+
+def as_zero_or_more(name: str, value: Any, unit: str) -> float:  # noqa: ANN401
+    """Return any such number as a float; ``unit`` is for the message."""
+    number = as_number(name, value)
+    if not number >= 0.0:
+        raise ValueError(f"{name} must be zero or more, {unit}, got {number}")
+    return number
 
 
 def as_count(name: str, value: Any) -> int:  # noqa: ANN401

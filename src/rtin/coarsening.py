@@ -31,6 +31,7 @@ from rtin._options import (
     as_count,
     as_height,
     as_tolerance_map,
+    as_zero_or_more,
     require_word,
     the_only_option,
 )
@@ -177,7 +178,8 @@ def coarsen(
     elif name == "removable":
         kept = _unmarked(grid, _as_mask(grid, "removable", value), required)
     elif name == "weight":
-        kept = _least_squares(grid, as_height("weight", value), required)
+        weight = as_zero_or_more(name, value, "in squares of the raster's height units")
+        kept = _least_squares(grid, weight, required)
     elif norm == "rms":
         kept = _least_squares_within_budget(grid, name, as_count(name, value), required)
     else:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._number import as_number
-from rtin._options import MOST, as_count, as_height, the_only_option
+from rtin._options import MOST, as_count, as_height, as_zero_or_more, the_only_option
 from rtin._tolerance_search import ToleranceSearch, a_bit_finer
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
@@ -355,6 +355,8 @@ class LevelOfDetail:
             view = self._view(eye, field_of_view, height, frustum)
         if name == "max_triangles":
             return view, name, _as_budget(value)
+        if name == "pixel_error":
+            return view, name, as_zero_or_more(name, value, "in pixels")
         return view, name, as_height(name, value)
 
     def _view(

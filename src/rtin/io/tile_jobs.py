@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtin._options import as_height, require_word
+from rtin._options import as_zero_or_more, require_word
 from rtin.grid import lattice_size
 from rtin.io.tileset import Format, Summary, write_tileset
 from rtin.pyramid import Plan, geometric_error, tolerances
@@ -290,7 +290,7 @@ def _require_zooms(zoom: Zooms) -> None:
 
 
 def _cesium(scheme: Scheme, factor: float) -> Any:  # noqa: ANN401
-    factor = as_height("error_factor", factor)
+    factor = as_zero_or_more("error_factor", factor, "as a multiple of CesiumJS's errors")
     if isinf(factor):
         raise ValueError("error_factor must be finite, got inf")
     return lambda zoom: factor * geometric_error(scheme, zoom)
