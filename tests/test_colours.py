@@ -108,11 +108,13 @@ def test_heights_are_tinted_from_the_lowest_to_the_highest():
     )
 
 
-def test_zero_is_sea_where_anything_lies_below_it():
-    red, _, blue = _tint.tint(np.array([-20.0, 0.0, 1.0]), -20.0, 4000.0).T
-    np.testing.assert_array_equal(blue > red, [True, True, False])
-    red, _, blue = _tint.tint(np.array([0.0]), 0.0, 4000.0).T
-    assert blue < red
+@pytest.mark.parametrize(
+    ("heights", "n_blue"),
+    [([-20, 0, 1, 400], 2), ([0, 1, 400], 1), ([5, 9], 0), ([-9, -5, 0], 0), ([0, 0], 0)],
+)
+def test_zero_and_below_are_sea_where_there_is_land(heights, n_blue):
+    red, _, blue = _tint.tint(np.array(heights, float), heights[0], heights[-1]).T
+    np.testing.assert_array_equal(blue > red, np.arange(len(heights)) < n_blue)
 
 
 def naive_differences(mesh, grid):

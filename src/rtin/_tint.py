@@ -39,14 +39,14 @@ def tint(heights: NDArray[np.float64], low: float, high: float) -> NDArray[np.fl
     """Return sRGB colours in 0..1, shape (n, 3), for heights between ``low`` and ``high``.
 
     Greens, browns and white from the lowest land to the highest; blues for zero, which most rasters
-    give the sea, and below where the range has both.
+    give the sea, and below where the range begins there.
     """
-    has_sea = low < 0.0 < high
+    has_sea = low <= 0.0 < high
     shore = 0.0 if has_sea else low
     colours = _ramp(_LAND, (heights - shore) / ((high - shore) or 1.0))
     if has_sea:
         wet = heights <= 0.0
-        colours[wet] = _ramp(_SEA, 1.0 - heights[wet] / low)
+        colours[wet] = _ramp(_SEA, 1.0 - heights[wet] / (low or -1.0))
     return colours
 
 

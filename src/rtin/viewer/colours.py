@@ -95,7 +95,7 @@ class Drape:
 def by_height(low: float, high: float) -> Painter:
     """Return what tints vertices by height, between the least and the largest there is.
 
-    Greens, browns and white; blues for zero and below where the range has both land and sea.
+    Greens, browns and white; blues for zero and below where there is land above them.
     """
     return lambda mesh: _tint.tint(mesh.vertices[:, 2], low, high)
 
