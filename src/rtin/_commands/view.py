@@ -206,11 +206,9 @@ def _require_none_for_a_mesh(path: Path, given: dict[str, bool]) -> None:
             raise typer.BadParameter(f"{flag} is for rasters; {path} is a mesh, shown as it is")
 
 
-def _say_if_a_needle(name: str, opened: Opened, exaggeration: float) -> None:
+def _say_if_a_needle(name: str, terrain: Terrain, exaggeration: float) -> None:
     """Point out heights in another unit than x and y, as those of most tiles without a CRS."""
-    from rtin.viewer.scene import bounds_of
-
-    width, depth, height = (bounds_of(opened.surface)[1] - bounds_of(opened.surface)[0]).tolist()
+    width, depth, height = (terrain.bounds[1] - terrain.bounds[0]).tolist()
     wide = max(width, depth)
     if exaggeration * height > wide:
         say(
@@ -248,7 +246,7 @@ def _prepared(opened: Opened, name: str, photo: Path | None, exaggeration: float
     say_if_not_compiled("rtin.lod")
     with progress(f"preparing {name}"):
         terrain = _terrain(opened, photo)
-    _say_if_a_needle(name, opened, exaggeration)
+    _say_if_a_needle(name, terrain, exaggeration)
     return terrain
 
 

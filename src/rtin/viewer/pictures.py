@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rtin._atomic import replacing, require_place
 from rtin._options import require_word
 from rtin.grid import Grid
+from rtin.io._numbers import as_positive
 from rtin.mesh import TriangleMesh
 from rtin.viewer._offscreen import require_renderer
 from rtin.viewer.cameras import overlook
@@ -235,9 +236,7 @@ def _require_possible(settings: Settings, terrain: Terrain) -> None:
     if settings.colours != Settings.colours:
         require_word("colours", settings.colours, terrain.painters)
     for name in ("pixel_error", "max_triangles", "exaggeration"):
-        value = getattr(settings, name)
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"{name} must be more than zero, got {value!r}")
+        as_positive(name, getattr(settings, name))
 
 
 class _Stage:
