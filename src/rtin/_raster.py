@@ -9,7 +9,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-__all__ = ["NORTH_UP", "moved", "padded", "row_chunks", "scaled", "widened"]
+__all__ = ["NORTH_UP", "extent", "moved", "padded", "row_chunks", "scaled", "widened"]
 
 Span = tuple[int, int]
 CHUNK_SAMPLES = 1 << 18
@@ -37,6 +37,14 @@ def widened(transform: Affine, step: float, col_step: float | None = None) -> Af
     a, b, x, d, e, y = transform[:6]
     across = step if col_step is None else col_step
     return Affine(a * across, b * step, x, d * across, e * step, y)
+
+
+def extent(transform: Affine, shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Return the least and the largest x and y of a lattice's nodes, shape (2, 2)."""
+    a, b, x, d, e, y = transform[:6]
+    corners = [(col, row) for col in (0, shape[1] - 1) for row in (0, shape[0] - 1)]
+    places = np.array([(a * col + b * row + x, d * col + e * row + y) for col, row in corners])
+    return np.array([places.min(axis=0), places.max(axis=0)])
 
 
 def padded(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtin import _parallel
 from rtin._crs import metres_per_unit
+from rtin._raster import extent
 from rtin.grid import Grid
 from rtin.mesh import TriangleMesh
 
@@ -143,11 +144,7 @@ def bounds_of(surface: TriangleMesh | Grid) -> _Floats:
     if isinstance(surface, TriangleMesh):
         used = surface.vertices[numbers_in(surface), :2]
         return np.array([used.min(axis=0), used.max(axis=0)])
-    rows, cols = surface.shape
-    a, b, x0, d, e, y0 = tuple(surface.transform)[:6]
-    corners = [(0, 0), (cols - 1, 0), (0, rows - 1), (cols - 1, rows - 1)]
-    places = np.array([(a * col + b * row + x0, d * col + e * row + y0) for col, row in corners])
-    return np.array([places.min(axis=0), places.max(axis=0)])
+    return extent(surface.transform, surface.shape)
 
 
 # --- a mesh -------------------------------------------------------------------------------------

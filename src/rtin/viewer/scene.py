@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _tint
+from rtin._raster import extent
 from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.lod import LevelOfDetail, frustum
@@ -263,12 +264,8 @@ def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
     """Return least and largest x, y, z of a grid's lattice or of a mesh, shape (2, 3)."""
     if isinstance(surface, TriangleMesh):
         return surface.bounds
-    rows, cols = surface.shape
-    a, b, x0, d, e, y0 = tuple(surface.transform)[:6]
-    corners = [(col, row) for col in (0, cols - 1) for row in (0, rows - 1)]
-    ends = np.array([(a * col + b * row + x0, d * col + e * row + y0) for col, row in corners])
-    low, high = np.nanmin(surface.heights), np.nanmax(surface.heights)
-    return np.array([[*ends.min(axis=0), low], [*ends.max(axis=0), high]], np.float64)
+    heights = np.nanmin(surface.heights), np.nanmax(surface.heights)
+    return np.column_stack([extent(surface.transform, surface.shape), heights]).astype(np.float64)
 
 
 def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> dict[str, Painter]:
