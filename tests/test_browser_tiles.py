@@ -11,11 +11,11 @@ from affine import Affine
 from pyproj import Transformer
 
 import rtin
+from chromium import CHROMIUM, FLAGS, seen, share_unlike
 from islands import write_island
 from rtin import samples, serve
 from rtin.io.live_tiles import LiveTiles
 from rtin.schemes import EQUATORIAL_RADIUS, SCHEMES
-from test_html_page import CHROMIUM, FLAGS, pixels
 from test_serve import serving
 
 CESIUM = Path(os.environ.get("RTIN_CESIUM", Path(__file__).parent))
@@ -113,16 +113,14 @@ def test_the_viewer_draws_the_terrain_with_nothing_from_outside(browser, tileset
     _, store = tilesets.get(scheme=scheme, live=live)
     with serving(store) as port:
         visit = open_viewer(browser, port)
-        visit.page.wait_for_timeout(300)
-        shown = pixels(visit.page)
+        shown = seen(visit.page, lambda picture: detail(picture) > 12)
         visit.page.check("#wireframe")
-        visit.page.wait_for_timeout(500)
-        wireframe = pixels(visit.page)
+        wireframe = seen(visit.page, lambda picture: share_unlike(picture, shown, by=0) > 0.1)
         counts, credit = visit.page.inner_text("#counts"), visit.page.inner_text("#credit")
         visit.page.close()
     visit.assert_clean()
     assert detail(shown) > 12
-    assert np.mean(np.any(shown != wireframe, axis=2)) > 0.1
+    assert share_unlike(shown, wireframe, by=0) > 0.1
     assert "triangles" in counts
     assert credit == "Nobody's island"
 
@@ -173,18 +171,15 @@ def test_cesium_renders_the_terrain(browser, tilesets):
     with serving(tilesets.get()[1], cesium=CESIUM) as port:
         visit = open_cesium(browser, port)
         visit.until("document.body.dataset.there === 'true'")
-        visit.page.wait_for_timeout(500)
-        visit.until("widget.scene.globe.tilesLoaded")
-        shown = canvas_pixels(visit.page)
+        hide_all_but_the_globe(visit.page)
+        shown = seen(visit.page, lambda picture: detail(picture) > 12)
         visit.page.evaluate("widget.terrainProvider = new Cesium.EllipsoidTerrainProvider()")
-        visit.page.wait_for_timeout(500)
-        visit.until("widget.scene.globe.tilesLoaded")
-        bare = canvas_pixels(visit.page)
+        bare = seen(visit.page, lambda picture: detail(picture) < 6)
         visit.page.close()
     visit.assert_clean()
     assert detail(shown) > 12
     assert detail(bare) < 6
-    assert np.mean(np.abs(shown - bare).max(axis=2) > 20) > 0.1
+    assert share_unlike(shown, bare, by=20) > 0.1
 
 
 @needs_cesium
@@ -241,25 +236,20 @@ def test_cesium_renders_3d_tiles(browser, tilesets):
     with serving(tilesets.get("3dtiles")[1], cesium=CESIUM) as port:
         visit = open_cesium(browser, port)
         visit.until("document.body.dataset.there === 'true'")
-        visit.page.wait_for_timeout(500)
-        visit.until("shown.tilesLoaded")
-        counts = visit.page.inner_text("#counts")
-        shown = canvas_pixels(visit.page)
+        visit.page.wait_for_selector("#counts:text-is('all tiles in sight are loaded')")
+        hide_all_but_the_globe(visit.page)
+        shown = seen(visit.page, lambda picture: detail(picture) > 12)
         visit.page.evaluate("shown.show = false")
-        visit.page.wait_for_timeout(500)
-        empty = canvas_pixels(visit.page)
+        empty = seen(visit.page, lambda picture: share_unlike(picture, shown, by=20) > 0.1)
         visit.page.close()
     visit.assert_clean()
-    assert counts == "all tiles in sight are loaded"
     assert detail(shown) > 12
-    assert np.mean(np.abs(shown - empty).max(axis=2) > 20) > 0.1
+    assert share_unlike(shown, empty, by=20) > 0.1
 
 
-def canvas_pixels(page):
-    """The globe without the panel and the credits."""
+def hide_all_but_the_globe(page):
     for element in page.query_selector_all(".panel, .credit, .cesium-widget-credits"):
         element.evaluate("element => { element.hidden = true; }")
-    return pixels(page)
 
 
 def sample(page, lon, lat):

@@ -1,25 +1,11 @@
 """The self-contained page, in a real browser without a network."""
 
-import io
-import shutil
-
 import numpy as np
 import pytest
-from PIL import Image
 
 import rtin
+from chromium import CHROMIUM, FLAGS, seen, terrain_share
 from rtin import samples
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
@@ -36,11 +22,9 @@ def test_the_page_shows_the_terrain_and_asks_nobody_for_anything(tmp_path):
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.goto(path.as_uri())
         page.wait_for_selector("canvas")
-        page.wait_for_timeout(1500)
-        shown = pixels(page)
+        shown = seen(page, lambda picture: terrain_share(picture) > 0.2)
         page.keyboard.press("w")
-        page.wait_for_timeout(500)
-        wireframe = pixels(page)
+        wireframe = seen(page, lambda picture: np.any(picture != shown))
         title = page.title()
         browser.close()
     assert not complaints
@@ -48,12 +32,3 @@ def test_the_page_shows_the_terrain_and_asks_nobody_for_anything(tmp_path):
     assert title.startswith("rtin: ")
     assert terrain_share(shown) > 0.2
     assert np.any(shown != wireframe)
-
-
-def pixels(page):
-    return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), np.int16)
-
-
-def terrain_share(picture):
-    """Share of the pixels that have a colour: the page itself is white, its text grey."""
-    return np.mean(np.ptp(picture, axis=2) > 15)

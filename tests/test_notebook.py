@@ -18,10 +18,10 @@ import pytest
 from PIL import Image
 
 import rtin
+from chromium import CHROMIUM, FLAGS, seen, terrain_share
 from hand_meshes import bumpy, in_degrees, touching_at_a_point, with_hole
 from rtin import samples
 from rtin.viewer import notebook
-from test_html_page import CHROMIUM, FLAGS, pixels, terrain_share
 
 
 def picture_in(text):
@@ -352,8 +352,7 @@ def test_the_page_below_a_cell_shows_terrain(outputs, tmp_path):
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.goto(path.as_uri())
         page.frame_locator("iframe").locator("canvas").wait_for()
-        page.wait_for_timeout(1500)
-        shown = pixels(page)
+        shown = seen(page, lambda picture: terrain_share(picture) > 0.15)
         browser.close()
     assert complaints == []
     assert terrain_share(shown) > 0.15
