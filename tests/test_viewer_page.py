@@ -553,6 +553,25 @@ def test_the_page_shows_the_terrain_with_nothing_from_outside(tab):
     assert terrain_unlike(picture, bare, by=15) > 0.2
 
 
+def test_the_page_does_not_fade_in(browser, page):
+    """viser does while it loads what lights are reflected in; we have no lights."""
+    tab = browser.new_page()
+    tab.add_init_script(
+        """opacities = [];
+        const look = () => {
+            const now = document.querySelector("canvas[data-engine]")?.style.opacity;
+            if (now && now !== opacities.at(-1)) opacities.push(now);
+            requestAnimationFrame(look);
+        };
+        look();"""
+    )
+    tab.goto(page.address)
+    tab.wait_for_function("opacities.at(-1) === '1'")
+    opacities = tab.evaluate("opacities")
+    tab.close()
+    assert opacities in (["0.05", "1"], ["1"])
+
+
 def test_the_page_shows_colours_as_they_are(browser):
     level = rtin.Grid(np.zeros((9, 9)), (10.0, 0.0, 0.0, 0.0, -10.0, 0.0))
     patches = [(0.7, 0.5, 0.2), (0.1, 0.3, 0.25), (0.9, 0.92, 0.93)]

@@ -263,6 +263,7 @@ class Page:
         self._server.gui.set_panel_label(title)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.scene.configure_default_lights(enabled=False, cast_shadow=False)
+        self._server.scene.configure_environment_map(None)  # or it fades in while that loads
         self._server.scene.set_background_image(_sky(), format="png")
         self._look_over()
         self._server.on_client_connect(self._welcome)
