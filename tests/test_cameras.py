@@ -74,7 +74,7 @@ def test_an_orbit_goes_round_once_in_equal_steps(n):
 @given(st.integers(1, 300), st.integers(0, 5), st.sampled_from([0.5, 1.0, 4.0]))
 def test_a_flight_stays_above_the_ground(n, seed, exaggeration):
     grid = rough(seed=seed, roughness=20.0)
-    place = Place.of(bounds_of(grid))
+    place = Place.of(grid.bounds)
     views = cameras.flight(grid, place, n, exaggeration)
     assert len(views) == n
     # No point of the path is further than this from the nearest of the 2000 places.
@@ -87,14 +87,14 @@ def test_a_flight_stays_above_the_ground(n, seed, exaggeration):
 def test_a_flight_follows_the_ground():
     row, _ = np.indices((200, 200))
     step = rtin.Grid(np.where(row < 100, 800.0, 0.0), (25.0, 0.0, 0.0, 0.0, -25.0, 0.0))
-    place = Place.of(bounds_of(step))
+    place = Place.of(step.bounds)
     heights = np.array([view.eye[2] for view in cameras.flight(step, place, 200)])
     assert heights.max() - heights.min() == pytest.approx(800.0 * place.scale, rel=1e-6)
 
 
 def test_a_flight_has_no_jumps_and_ends_where_it_began():
     grid = rough()
-    views = cameras.flight(grid, Place.of(bounds_of(grid)), 400)
+    views = cameras.flight(grid, Place.of(grid.bounds), 400)
     eyes = np.array([view.eye for view in views])
     steps = np.linalg.norm(np.diff(eyes, axis=0, append=eyes[:1]), axis=1)
     assert steps.max() < 0.03 * SIDE
@@ -103,7 +103,7 @@ def test_a_flight_has_no_jumps_and_ends_where_it_began():
 
 def test_a_flight_looks_ahead_along_its_path_at_the_ground():
     level = rtin.Grid(np.full((30, 30), 700.0), (25.0, 0.0, 0.0, 0.0, -25.0, 0.0))
-    views = cameras.flight(level, Place.of(bounds_of(level)), 500)
+    views = cameras.flight(level, Place.of(level.bounds), 500)
     eyes, targets = (
         np.array([getattr(view, name) for view in views]) for name in ("eye", "target")
     )
@@ -116,7 +116,7 @@ def test_a_flight_looks_ahead_along_its_path_at_the_ground():
 def test_a_flight_over_a_mesh_follows_its_ground():
     grid = rough()
     mesh = rtin.coarsen(grid, max_error=0.0)
-    place = Place.of(bounds_of(grid))
+    place = Place.of(grid.bounds)
     over_grid = np.array([view.eye for view in cameras.flight(grid, place, 60)])
     over_mesh = np.array([view.eye for view in cameras.flight(mesh, place, 60)])
     assert np.allclose(over_mesh[:, :2], over_grid[:, :2])
@@ -131,7 +131,7 @@ def test_a_flight_over_voids_stays_above_the_lowest_ground():
     heights[:, :20] = np.nan
     heights[0, 25] = 100.0
     grid = rtin.Grid(heights, (25.0, 0.0, 0.0, 0.0, -25.0, 0.0))
-    place = Place.of(bounds_of(grid))
+    place = Place.of(grid.bounds)
     eyes = np.array([view.eye for view in cameras.flight(grid, place, 100)])
     assert np.isfinite(eyes).all()
     lowest = place.into_scene([[0.0, 0.0, 100.0]])[0, 2]
@@ -140,7 +140,7 @@ def test_a_flight_over_voids_stays_above_the_lowest_ground():
 
 def test_views_of_the_world_are_put_into_the_scene():
     grid = rough()
-    place = Place.of(bounds_of(grid))
+    place = Place.of(grid.bounds)
     eye, target = np.array([5.01e5, 3.9e6, 900.0]), place.middle
     view = cameras.seen_from(place, eye, target, exaggeration=2.0)
     assert np.allclose(place.into_world(view.eye, 2.0), eye)
@@ -161,7 +161,7 @@ def test_no_view_is_no_path(n):
     with pytest.raises(ValueError, match="n must be"):
         cameras.orbit(n)
     with pytest.raises(ValueError, match="n must be"):
-        cameras.flight(rough(), Place.of(bounds_of(rough())), n)
+        cameras.flight(rough(), Place.of(rough().bounds), n)
 
 
 @pytest.mark.parametrize("n", [2.5, "many", True])

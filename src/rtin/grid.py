@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._crs import as_crs, metres_per_unit
-from rtin._raster import NORTH_UP, moved, row_chunks, scaled
+from rtin._raster import NORTH_UP, extent, moved, row_chunks, scaled
 
 if TYPE_CHECKING:
     import pyproj
@@ -77,6 +77,13 @@ class Grid:
         """Rows and columns of samples."""
         rows, cols = self.heights.shape
         return rows, cols
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Smallest and largest x and y of the lattice, and height of a sample, shape (2, 3)."""
+        heights = np.nanmin(self.heights), np.nanmax(self.heights)
+        places = extent(self.transform, self.shape)
+        return np.column_stack([places, heights]).astype(np.float64)
 
     @property
     def n_samples(self) -> int:

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, find_objects, label
 import rtin
 from rtin import samples
 from rtin.viewer.pictures import picture
-from rtin.viewer.scene import Place, Settings, Terrain, View, bounds_of, usual_painters
+from rtin.viewer.scene import Place, Settings, Terrain, View, usual_painters
 
 
 def flooded(ground, level, source):
@@ -62,7 +62,7 @@ def painter(wet):
 
 
 relief = usual_painters(meshes[0], None)["hillshade"]
-place = Place.of(bounds_of(grid))
+place = Place.of(grid.bounds)
 view = View((62.0, -78.0, 48.0), (12.0, -14.0, -2.0), field_of_view=44.0)
 look = Settings(wireframe=True, exaggeration=3.0)
 pictures = [

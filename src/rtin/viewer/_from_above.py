@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from rtin.criteria import surface_at_samples
 from rtin.grid import Grid, Metres
 from rtin.mesh import TriangleMesh
-from rtin.viewer.scene import bounds_of
 
 __all__ = ["heights_on", "lattice_over", "sampled"]
 
@@ -23,7 +22,7 @@ def lattice_over(surface: _Surface, n_samples: int) -> tuple[Affine, tuple[int, 
     They are north up, and about as far apart in x as in y on the ground; the last transform
     is the first one in metres.
     """
-    (west, south, _), (east, north, _) = bounds_of(surface).tolist()
+    (west, south, _), (east, north, _) = surface.bounds.tolist()
     metres = Metres(0.0, 0.0, 1.0, 1.0)
     if surface.crs is not None and surface.crs.is_geographic:
         metres = Metres.around(surface.crs, (west + east) / 2, (south + north) / 2)

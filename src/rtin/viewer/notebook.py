@@ -28,7 +28,6 @@ from rtin.io._numbers import as_positive
 from rtin.io.meshes import page_of, require_shape
 from rtin.mesh import TriangleMesh
 from rtin.viewer._from_above import heights_on, lattice_over, sampled
-from rtin.viewer.scene import bounds_of
 
 __all__ = ["as_html", "show"]
 
@@ -127,7 +126,7 @@ def _facts(surface: _Surface) -> list[tuple[str, str]]:
 def _ranges(surface: _Surface) -> list[tuple[str, str]]:
     if isinstance(surface, TriangleMesh) and surface.n_vertices == 0:
         return []
-    low, high = bounds_of(surface).tolist()
+    low, high = surface.bounds.tolist()
     return [
         (name, f"{least:.8g} to {largest:.8g}")
         for name, least, largest in zip("xyz", low, high, strict=True)

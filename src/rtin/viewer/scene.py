@@ -37,7 +37,6 @@ __all__ = [
     "Shown",
     "Terrain",
     "View",
-    "bounds_of",
     "painters_of",
     "usual_painters",
 ]
@@ -166,7 +165,7 @@ class Terrain:
         note: str = "",
     ) -> None:
         self.note = note
-        self.bounds = bounds_of(surface)
+        self.bounds = surface.bounds
         self.place = place or Place.of(self.bounds)
         self.painters = painters or usual_painters(surface, None)
         self._lod = LevelOfDetail(surface) if isinstance(surface, Grid) else None
@@ -260,14 +259,6 @@ def _shorter(settings: Settings) -> Settings:
     return replace(settings, mode="triangle budget", max_triangles=MOST_TRIANGLES)
 
 
-def bounds_of(surface: Grid | TriangleMesh) -> _Floats:
-    """Return least and largest x, y, z of a grid's lattice or of a mesh, shape (2, 3)."""
-    if isinstance(surface, TriangleMesh):
-        return surface.bounds
-    heights = np.nanmin(surface.heights), np.nanmax(surface.heights)
-    return np.column_stack([extent(surface.transform, surface.shape), heights]).astype(np.float64)
-
-
 def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> dict[str, Painter]:
     """Return the painters of a terrain that has been opened, and one of a photograph over it.
 
@@ -283,7 +274,7 @@ def painters_of(opened: Opened, photo: str | os.PathLike[str] | None = None) -> 
 
 def usual_painters(surface: Grid | TriangleMesh, relief: Drape | None) -> dict[str, Painter]:
     """Return a raster's painters, with its relief; or a mesh's, lit by its own slopes."""
-    low, high = bounds_of(surface)[:, 2].tolist()
+    low, high = surface.bounds[:, 2].tolist()
     tinted = by_height(low, high)
 
     def lit(mesh: TriangleMesh) -> _Floats:
