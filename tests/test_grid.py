@@ -1,6 +1,8 @@
 """The grid's door: what it takes, what it keeps, and what it says of everything else."""
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -317,3 +319,21 @@ def test_says_what_shape_points_have(wrong):
     for ask in (grid.places, grid.heights_at):
         with pytest.raises(ValueError, match=r"points must have shape \(n, 2\), got \("):
             ask(wrong)
+
+
+def test_bounds_are_those_of_all_samples():
+    heights = np.array([[1.0, np.nan, 3.0], [-2.0, 5.0, np.nan]])
+    turned = rtin.Grid(heights, (2.0, 1.0, 100.0, 1.0, -3.0, 50.0))
+    assert turned.bounds.tolist() == [[100.0, 47.0, -2.0], [105.0, 52.0, 5.0]]
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [copy.copy, copy.deepcopy, lambda grid: pickle.loads(pickle.dumps(grid))],
+    ids=["copy", "deepcopy", "pickle"],
+)
+def test_heights_stay_as_they_are_in_copies(copied):
+    grid = copied(rtin.Grid(np.ones((2, 3)), crs=32633))
+    assert not grid.heights.flags.writeable
+    assert (grid.heights == 1.0).all()
+    assert grid.crs.to_epsg() == 32633

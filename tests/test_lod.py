@@ -1,6 +1,8 @@
 """`LevelOfDetail` against its naive twin, what it promises of every view, and starting afresh."""
 
+import copy
 import math
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -888,6 +890,34 @@ def test_an_update_leaves_the_callers_arrays_and_earlier_grids_alone():
     np.testing.assert_array_equal(grid.heights, terrains.waves((9, 9)))
     assert second.heights[[0, 2], [0, 2]].tolist() == [0.0, 5.0]
     assert lod.grid.heights[[0, 2], [0, 2]].tolist() == [-7.0, 5.0]
+
+
+def sent_without_a_copy(lod):
+    """Unpickled over memory that may only be read, as of another process."""
+    buffers = []
+    data = pickle.dumps(lod, protocol=5, buffer_callback=buffers.append)
+    return pickle.loads(data, buffers=[bytes(buffer) for buffer in buffers])
+
+
+@pytest.mark.parametrize(
+    "copied",
+    [copy.copy, copy.deepcopy, lambda lod: pickle.loads(pickle.dumps(lod)), sent_without_a_copy],
+    ids=["copy", "deepcopy", "pickle", "buffers"],
+)
+@pytest.mark.parametrize("is_changed_before", [False, True])
+def test_a_copy_is_updated_alone(copied, is_changed_before):
+    heights = terrains.noise((9, 12)).astype(np.float64) + 1e-9
+    lod = rtin.LevelOfDetail(rtin.Grid(heights))
+    if is_changed_before:
+        lod.update(slice(0, 2), slice(0, 2), np.full((2, 2), 7.0))
+    before = lod.grid.heights.copy()
+    other = copied(lod)
+    other.update(slice(4, 6), slice(4, 6), np.full((2, 2), 50.0))
+    after = before.copy()
+    after[4:6, 4:6] = 50.0
+    assert_equals_starting_afresh(other, after, lod.grid.transform)
+    assert_equals_starting_afresh(lod, before, lod.grid.transform)
+    assert not any(one._heights.flags.writeable for one in (lod, other))
 
 
 def test_an_update_takes_slices_as_python_does():

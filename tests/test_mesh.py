@@ -1,6 +1,8 @@
 """The mesh's door, and foreign triangles brought into order."""
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -168,3 +170,11 @@ def test_tags_go_with_their_triangles():
 def test_refuses_wrong_tags(tags, error, message):
     with pytest.raises(error, match=message):
         TriangleMesh(SQUARE, [[0, 1, 2], [2, 3, 0]], tags=tags)
+
+
+@pytest.mark.parametrize("tags", [None, [7]])
+def test_arrays_stay_as_they_are_in_copies(tags):
+    mesh = rtin.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[1, 2, 0]], tags=tags)
+    for other in (copy.deepcopy(mesh), pickle.loads(pickle.dumps(mesh))):
+        arrays = [other.vertices, other.triangles] + ([] if tags is None else [other.tags])
+        assert not any(array.flags.writeable for array in arrays)

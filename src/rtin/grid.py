@@ -72,6 +72,10 @@ class Grid:
         object.__setattr__(self, "crs", as_crs(crs))
         object.__setattr__(self, "has_voids", _has_voids(checked))
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.heights.flags.writeable = False  # which neither pickles nor copies keep
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of samples."""

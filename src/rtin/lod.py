@@ -16,6 +16,7 @@ to move: so each vertex moves along one line, and meshes on the way are averages
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -136,7 +137,7 @@ class LevelOfDetail:
     def __init__(self, grid: Grid) -> None:
         self._grid: Grid | None = require_grid(grid)
         self._heights = grid.heights
-        self._changed: NDArray[np.floating[Any]] | None = None
+        self._are_heights_own = False
         self._place = (grid.transform, grid.crs)
         self._flip = grid.transform.determinant > 0.0
         self._layout = _layout(grid.shape)
@@ -168,6 +169,17 @@ class LevelOfDetail:
     def nbytes(self) -> int:
         """Bytes of the hierarchy, without the heights."""
         return self._own.nbytes + self._wholes.nbytes + self._bounds.nbytes + self._layout.nbytes
+
+    def __copy__(self) -> LevelOfDetail:
+        return copy.deepcopy(self)  # an update changes arrays in place
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what has been copied or unpickled, whose memory may be somebody else's."""
+        self.__dict__.update(state)
+        self._heights.flags.writeable = False
+        self._are_heights_own = False
+        for name in ("_own", "_wholes", "_bounds"):
+            setattr(self, name, np.require(getattr(self, name), requirements="W"))
 
     def mesh(
         self,
@@ -296,12 +308,11 @@ class LevelOfDetail:
             self._heights, top, bottom, left, right
         ):
             raise ValueError("heights would hold no value at all: every sample would be NaN")
-        if self._changed is None:
-            self._changed = self._heights.copy()
-            # The kernels get a view to read only, as of a grid: they are compiled for those.
-            self._heights = self._changed.view()
-            self._heights.flags.writeable = False
-        self._changed[top:bottom, left:right] = patch
+        if not self._are_heights_own:
+            self._heights, self._are_heights_own = self._heights.copy(), True
+        self._heights.flags.writeable = True
+        self._heights[top:bottom, left:right] = patch
+        self._heights.flags.writeable = False  # as a grid's, which kernels are compiled for
         self._grid = None
         changed = (top, bottom, left, right)
         for level, kind in _generations(self._layout):

@@ -67,6 +67,12 @@ class TriangleMesh:
         object.__setattr__(self, "crs", as_crs(crs))
         object.__setattr__(self, "tags", labels)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        for array in (self.vertices, self.triangles, self.tags):
+            if array is not None:
+                array.flags.writeable = False  # which neither pickles nor copies keep
+
     @classmethod
     def from_triangles(
         cls,
