@@ -191,5 +191,5 @@ def test_refuses_arrays_that_are_no_grids():
         xarray.DataArray(np.ones((2, 9, 9))).rtin.coarsen_tiles(1.0)
     with pytest.raises(TypeError, match="heights must be real numbers"):
         xarray.DataArray(np.full((9, 9), "a")).rtin.coarsen_tiles(1.0)
-    with pytest.raises(ValueError, match="no three neighbouring samples"):
+    with pytest.raises(ValueError, match="no triangle to keep"):
         array_of(np.full((9, 9), np.nan)).rtin.coarsen_tiles(1.0).mesh()

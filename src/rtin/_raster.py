@@ -9,11 +9,23 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-__all__ = ["NORTH_UP", "extent", "moved", "padded", "row_chunks", "scaled", "widened"]
+__all__ = [
+    "NORTH_UP",
+    "NO_TRIANGLE",
+    "extent",
+    "moved",
+    "padded",
+    "row_chunks",
+    "scaled",
+    "widened",
+]
 
 Span = tuple[int, int]
 CHUNK_SAMPLES = 1 << 18
 NORTH_UP = Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+NO_TRIANGLE = (
+    "the grid has no triangle to keep: none of the finest ones has heights at all three corners"
+)
 
 
 def row_chunks(shape: tuple[int, ...]) -> Iterator[slice]:

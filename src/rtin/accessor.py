@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from rtin._raster import NO_TRIANGLE
 from rtin.coarsening import coarsen
 from rtin.grid import Grid
 from rtin.io.arrays import DataArrayLattice
@@ -133,7 +134,7 @@ class TileMeshes:
         """
         tiles = list(self._made())
         if not tiles:
-            raise ValueError("no three neighbouring samples of a cell have heights")
+            raise ValueError(NO_TRIANGLE)
         return self._mesh_of(tiles)
 
     def _made(self) -> Iterator[Tile]:

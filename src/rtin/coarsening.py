@@ -35,6 +35,7 @@ from rtin._options import (
     require_word,
     the_only_option,
 )
+from rtin._raster import NO_TRIANGLE
 from rtin.fitting import fitted
 from rtin.grid import Grid, lattice_size, require_grid
 from rtin.mesh import TriangleMesh
@@ -402,9 +403,7 @@ def mesh_of_kept(grid: Grid, kept: _Kept, swapped: _Swapped = None) -> TriangleM
     first_vertex, n_vertices = _offsets(vertex_counts)
     first_triangle, n_triangles = _offsets(triangle_counts)
     if n_triangles == 0:
-        raise ValueError(
-            "the grid has no triangle to keep: no three neighbouring samples of a cell have heights"
-        )
+        raise ValueError(NO_TRIANGLE)
     if max(n_vertices, n_triangles) > _MOST_NUMBERS:
         raise ValueError(
             f"the mesh would have {n_vertices} vertices and {n_triangles} triangles, more than "

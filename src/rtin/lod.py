@@ -26,7 +26,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin import _parallel
 from rtin._number import as_number
-from rtin._options import MOST, as_count, as_height, as_zero_or_more, the_only_option
+from rtin._options import (
+    MOST,
+    as_count,
+    as_exaggeration,
+    as_height,
+    as_zero_or_more,
+    the_only_option,
+)
+from rtin._raster import NO_TRIANGLE
 from rtin._tolerance_search import ToleranceSearch, a_bit_finer
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
@@ -238,10 +246,7 @@ class LevelOfDetail:
         )
         mesh, _, _ = self._mesh_of(*self._kept(view, name, value))
         if eye is None and mesh.n_triangles == 0:
-            raise ValueError(
-                "the grid has no triangle to keep: no three neighbouring samples of a cell have "
-                "heights"
-            )
+            raise ValueError(NO_TRIANGLE)
         return mesh
 
     def frame(

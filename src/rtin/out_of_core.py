@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from rtin import _parallel
 from rtin._distinct import distinct
 from rtin._options import as_height
-from rtin._raster import moved, padded
+from rtin._raster import NO_TRIANGLE, moved, padded
 from rtin.coarsening import coarsen, lattice_bytes, mesh_of_kept
 from rtin.criteria import ErrorFigures, error_by_bands
 from rtin.grid import Grid, lattice_size
@@ -554,9 +554,7 @@ def _joined(parts: list[_Part], raster: _Raster) -> TriangleMesh:
     """Return the mesh of all parts, in the order of ``mesh_of_kept``."""
     n_triangles = sum(len(part.triangles) for part in parts)
     if n_triangles == 0:
-        raise ValueError(
-            "the grid has no triangle to keep: no three neighbouring samples of a cell have heights"
-        )
+        raise ValueError(NO_TRIANGLE)
     keys = distinct(np.concatenate([part.keys for part in parts]))
     if max(len(keys), n_triangles) > _MOST_NUMBERS:
         raise ValueError(
