@@ -228,10 +228,32 @@ def test_fill_values_behind_fill_values_are_pointed_out():
     heights[0, :4] = -3.4e38, -32768, -32767, 65535
     assert [line.split()[0] for line in suspicious_values(Grid(heights))] == [
         "-3.4e+38",
-        "65535",
         "-32768",
         "-32767",
+        "65535",
     ]
+
+
+def test_of_many_extreme_heights_the_most_frequent_are_pointed_out():
+    heights = np.random.default_rng(1).uniform(1e10, 1e30, (40, 50))
+    heights[3] = -1e12
+    heights[5:7, 5] = 2e12
+    heights[-1] = 1.0
+    lines = suspicious_values(Grid(heights))
+    assert lines[0].startswith("-1e+12 in 50 samples")
+    assert any(line.startswith("2e+12 in 2 samples") for line in lines)
+    assert lines[-1] == "1,894 more such heights"
+    assert len(lines) == 7
+
+
+def test_a_usual_fill_value_among_heights_is_one_of_them():
+    heights = [[-12000.0, -9999.0], [-9999.0, 5.0]]
+    assert suspicious_values(Grid(heights)) == []
+
+
+def test_nothing_but_fill_values_is_pointed_out():
+    lines = suspicious_values(Grid([[-9999.0, -9999.0], [np.nan, 1e20]]))
+    assert [line.split()[0] for line in lines] == ["-9999", "1e+20"]
 
 
 def test_ordinary_heights_are_not_suspicious():

@@ -37,6 +37,7 @@ _SCALE_AND_OFFSET = {"terrain-rgb": (0.1, -10000.0), "terrarium": (1.0 / 256.0, 
 _LOWEST_ON_EARTH, _HIGHEST_ON_EARTH = -12000.0, 9000.0
 _FILL_VALUES = (-999, 9999, -9999, -10000, -32767, 32767, -32768, 65535, -99999, 99999)
 _LARGEST_HEIGHT = 1e9
+_MOST_LINES = 6  # of heights that look like nodata
 _LARGEST_EXACT_INTEGER = 2.0**53
 _OPENING = threading.Lock()  # warnings.catch_warnings is not for several threads at once
 _RAW_DRIVERS = ("ENVI", "EHdr", "ISCE")
@@ -169,34 +170,45 @@ class FillValues:
     def look(self, heights: Heights) -> None:
         """Look at some more heights."""
         inside = ~np.isnan(heights)
-        while inside.any():
-            lowest = float(heights.min(where=inside, initial=np.inf))
-            highest = float(heights.max(where=inside, initial=-np.inf))
-            fills = [value for value in {lowest, highest} if _looks_like_fill(value)]
-            if not fills:
-                self._others |= {lowest, highest}
-                break
-            for value in fills:
-                found = inside & (heights == value)
-                inside &= ~found
-                self._counts[value] += int(np.count_nonzero(found))
+        lowest, highest = _ends(heights, inside)
+        if _look_like_fill(np.array([lowest, highest])).any():
+            are_fills = _look_like_fill(heights)
+            lowest, highest = _ends(heights, inside & ~are_fills)
+            are_outside = are_fills & ((heights < lowest) | (heights > highest))
+            values, counts = np.unique(heights[are_outside], return_counts=True)
+            self._counts.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
+        if lowest <= highest:
+            self._others |= {lowest, highest}
 
     def lines(self) -> list[str]:
-        """Return one line for each extreme height that looks like a nodata value."""
-        values = sorted({*self._counts, *self._others})
-        lines: list[str] = []
-        while values:
-            fills = [value for value in {values[0], values[-1]} if value in self._counts]
-            if not fills:
-                break
-            for value in sorted(fills):
-                lines.append(f"{value:.7g} in {self._counts[value]} samples: undeclared nodata?")
-                values.remove(value)
+        """Return one line for each extreme height that looks like a nodata value.
+
+        Of more than a few there are the most frequent ones, and a line that counts the rest.
+        """
+        lowest, highest = min(self._others, default=np.inf), max(self._others, default=-np.inf)
+        counts = {
+            value: count
+            for value, count in self._counts.items()
+            if value < lowest or value > highest
+        }
+        most = sorted(counts, key=lambda value: (-counts[value], value))[:_MOST_LINES]
+        lines = [
+            f"{value:.7g} in {counts[value]} samples: undeclared nodata?" for value in sorted(most)
+        ]
+        if len(most) < len(counts):
+            lines.append(f"{len(counts) - len(most):,} more such heights")
         return lines
 
 
-def _looks_like_fill(value: float) -> bool:
-    return value in _FILL_VALUES or abs(value) >= _LARGEST_HEIGHT
+def _ends(heights: Heights, where: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the lowest and the highest height; infinity and minus infinity where there is none."""
+    lowest = float(heights.min(where=where, initial=np.inf))
+    return lowest, float(heights.max(where=where, initial=-np.inf))
+
+
+def _look_like_fill(heights: Heights) -> NDArray[np.bool_]:
+    is_large = np.abs(heights) >= _LARGEST_HEIGHT
+    return np.asarray(is_large | np.isin(heights, list(_FILL_VALUES)))
 
 
 def _read_npy(
