@@ -536,12 +536,12 @@ def _read_colours(
     if not _is_coloured(dataset):
         raise ValueError(
             f"{name}: encoding={encoding!r} needs three or four bands of uint8, "
-            f"got {dataset.count} of {dataset.dtypes[0]}; leave encoding out"
+            f"got {dataset.count} of {dataset.dtypes[0]}; leave the encoding out"
         )
     if band != 1:
         raise ValueError(
             f"{name}: a raster of colours is read as a whole, got band={band!r}; "
-            "pass encoding='none' to read one band of it as heights"
+            "give the encoding 'none' to read one band of it as heights"
         )
     _require_memory(part, 4 + 3 + 2, name)
     codes = _read_codes(dataset, part)
@@ -595,8 +595,8 @@ def _plausible_encoding(codes: NDArray[np.floating[Any]], name: str) -> str:
         return plausible[0]
     raise ValueError(
         f"{name}: its colours are heights on Earth neither as terrain-RGB nor as Terrarium; "
-        "pass encoding='terrain-rgb' or 'terrarium' if they are, or encoding='none' to read "
-        "one band as heights"
+        "give the encoding 'terrain-rgb' or 'terrarium' if they are, or 'none' to read one band "
+        "as heights"
     )
 
 
