@@ -38,6 +38,12 @@ def words_in(text):
 # --- beside a cell --------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("height", [100.1, 1.0, 0.0])
+def test_flat_terrain_has_one_colour(height):
+    image = picture_in(rtin.Grid(np.full((300, 300), height))._repr_html_())[5:-5, 5:-5]
+    assert np.ptp(image, axis=(0, 1)).max() < 8  # WebP loses some
+
+
 @pytest.mark.parametrize("shape", [bumpy, in_degrees, with_hole, touching_at_a_point])
 def test_a_mesh_is_shown_with_its_counts(shape):
     mesh = shape()

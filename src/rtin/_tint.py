@@ -31,6 +31,7 @@ _HEAT = np.array(
         [1.00, 0.25, 0.04, 0.28],
     ]
 )
+_ROUNDING = 1e-12  # of a height
 # From the north-west, 45 degrees high, as maps are lit: towards the light in x, y and z.
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])
 
@@ -79,17 +80,21 @@ def relief(
 ) -> NDArray[np.float64]:
     """Return pale RGBA colours, shape (n, 4): tinted by height, lit from the north-west.
 
-    Slopes are scaled to a typical one of 0.4, whatever the units; voids are transparent.
+    Slopes are scaled to a typical one of 0.4, whatever the units, but for a flat terrain; voids are
+    transparent.
     """
     valid = np.isfinite(heights) & np.isfinite(slope_x) & np.isfinite(slope_y)
     colours = np.zeros((len(heights), 4))
     if not valid.any():
         return colours
-    steepness = np.sqrt(np.mean(slope_x[valid] ** 2 + slope_y[valid] ** 2)) or 1.0
+    steepness = np.sqrt(np.mean(slope_x[valid] ** 2 + slope_y[valid] ** 2)) or np.inf
+    low, high = heights[valid].min(), heights[valid].max()
+    if high - low <= _ROUNDING * max(abs(low), abs(high)):
+        steepness, high = np.inf, low
     slopes = 0.4 / steepness * np.column_stack([slope_x[valid], slope_y[valid]])
     normals = np.column_stack([-slopes, np.ones(len(slopes))])
     light = hillshade(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    tints = tint(heights[valid], heights[valid].min(), heights[valid].max())
+    tints = tint(heights[valid], low, high)
     shaded = (0.35 + 0.65 * tints) * (0.4 + 0.75 * light[:, np.newaxis])
     colours[valid] = np.column_stack([shaded.clip(0.0, 1.0), np.ones(len(shaded))])
     return colours
