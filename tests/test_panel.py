@@ -68,6 +68,17 @@ def sliders(controls):
     return {name for name in ("Pixel error", "Triangles", "Tolerance") if controls[name].visible}
 
 
+@pytest.mark.parametrize(
+    ("label", "typed", "name", "least"),
+    [("Pixel error", -5.0, "pixel_error", 0.25), ("Triangles", 0, "max_triangles", 1000),
+     ("Tolerance", -1.0, "max_error", 0.0), ("Exaggeration", 0.0, "exaggeration", 0.1)],
+)  # fmt: skip
+def test_what_is_typed_below_a_slider_is_its_least(label, typed, name, least):
+    made, controls = panel()
+    controls[label].choose(typed)
+    assert getattr(made.settings, name) == least
+
+
 def test_only_the_slider_that_counts_is_seen():
     calls = []
     _, controls = panel(calls=calls)

@@ -17,6 +17,7 @@ _CHOSEN_BY = {
     "triangle budget": "max_triangles",
     "tolerance": "max_error",
 }
+_SLIDERS = (*_CHOSEN_BY.values(), "exaggeration")
 _MOST_PIXELS, _MOST_HIGHER = 16.0, 10.0
 _OF_THE_RANGE = 0.1  # of heights: the largest tolerance
 _FIRST_OF_THAT = 0.05
@@ -70,8 +71,11 @@ class Panel:
 
     @property
     def settings(self) -> Settings:
-        """What is chosen now."""
-        chosen = {name: control.value for name, control in self._controls.items()}
+        """What is chosen now: at least the least of a slider, whatever is typed beside it."""
+        chosen = {
+            name: max(control.value, control.min) if name in _SLIDERS else control.value
+            for name, control in self._controls.items()
+        }
         return Settings(**{**vars(self._first), **chosen})
 
     def show(self, text: str) -> None:
