@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["as_number"]
+__all__ = ["as_number", "as_positive"]
 
 
 def as_number(name: str, value: Any) -> float:  # noqa: ANN401
@@ -26,3 +26,11 @@ def as_number(name: str, value: Any) -> float:  # noqa: ANN401
         raise wrong_kind from None
     except OverflowError:
         raise ValueError(f"{name} must fit a float64, got a larger whole number") from None
+
+
+def as_positive(name: str, value: Any, unit: str = "") -> float:  # noqa: ANN401
+    """Return ``value`` as a float; raise where it is no number, or not more than zero."""
+    number = as_number(name, value)
+    if not (np.isfinite(number) and number > 0.0):
+        raise ValueError(f"{name} must be more than zero{unit}, got {value}")
+    return number

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import require_place, write_bytes
+from rtin._number import as_positive
 from rtin.io import _gltf, _gmsh, _polygons, _sms, _trimesh, _vtk, _xdmf, html
 from rtin.io._cells import FileMesh
-from rtin.io._numbers import as_positive
 from rtin.io._placement import PlacedMesh, Placement, place, placement
 from rtin.mesh import TriangleMesh, require_mesh
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._edges import directed_edges, edge_keys
-from rtin.io._numbers import as_positive
+from rtin._number import as_positive
 from rtin.mesh import TriangleMesh, require_mesh
 
 __all__ = ["close"]
