@@ -434,6 +434,19 @@ def test_only_pixels_for_a_length_at_a_distance_count(scene, factor):
     assert same_bytes(mesh, lod.mesh(pixel_error=pixel_error * factor, **larger.options))
 
 
+@given(scenes(), st.sampled_from([2.0, 8.0, 0.125]))
+def test_drawn_higher_is_as_if_it_were_higher(scene, times):
+    grid, view, pixel_error = scene
+    higher = rtin.LevelOfDetail(rtin.Grid(grid.heights * times, grid.transform))
+    lod = rtin.LevelOfDetail(grid)
+    for asked in ({"pixel_error": pixel_error}, {"max_triangles": 40}):
+        frame = lod.frame(exaggeration=times, **asked, **view.options)
+        other = higher.frame(**asked, **view.options)
+        scaled = frame.morphed.vertices * (1.0, 1.0, times)
+        np.testing.assert_array_equal(scaled, other.morphed.vertices)
+        assert frame.pixel_error == other.pixel_error
+
+
 def rolling(shape=(65, 65), noise=0.3, **options):
     """Hills with all sizes of detail: hardly two vertices weigh the same."""
     row, col = np.indices(shape)
@@ -1025,6 +1038,9 @@ def small():
         ({"eye": EYE, "height": 0}, "height must be a positive number of pixels, got 0"),
         ({"eye": EYE, "height": -3}, "height must be a positive number of pixels"),
         ({"eye": EYE, "height": math.inf}, "height must be a positive number of pixels"),
+        ({"eye": EYE, "exaggeration": 0.0}, "exaggeration must be from 1e-06 to 1e.06, got 0"),
+        ({"eye": EYE, "exaggeration": 1e300}, "exaggeration must be from 1e-06 to 1e.06"),
+        ({"eye": EYE, "exaggeration": math.nan}, "exaggeration must be from 1e-06 to 1e.06"),
         ({"eye": EYE, "frustum": np.zeros(4)}, r"shape \(n, 4\), got shape \(4,\)"),
         ({"eye": EYE, "frustum": np.zeros((5, 3))}, r"shape \(n, 4\), got shape \(5, 3\)"),
         ({"eye": EYE, "frustum": np.full((1, 4), math.nan)}, "frustum must hold finite numbers"),

@@ -164,6 +164,40 @@ def test_an_exaggerated_error_keeps_the_pixels(terrain, view, exaggeration):
     assert picture.kept == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("shape", [(40, 129), (100, 100)])
+def test_an_exaggeration_is_as_if_the_raster_were_so_high(shape):
+    """Its outline, too, which has no height to be multiplied."""
+    grid = hills(shape)
+    terrain = Terrain(grid)
+    lower = rtin.Grid(grid.heights / 8.0, grid.transform)
+    for chosen in (Settings(pixel_error=4.0), Settings("triangle budget", max_triangles=400)):
+        shown = terrain.shown(OVERVIEW, replace(chosen, exaggeration=0.125))
+        other = Terrain(lower).shown(OVERVIEW, chosen)
+        np.testing.assert_array_equal(shown.mesh.triangles, other.mesh.triangles)
+        np.testing.assert_allclose(shown.vertices, other.vertices, atol=1e-9)
+
+
+@pytest.mark.parametrize("heights", [np.pad([[1.0]], 4, constant_values=np.nan)])
+def test_what_has_no_triangle_cannot_be_drawn(heights):
+    with pytest.raises(ValueError, match="the grid has no triangle to keep"):
+        Terrain(rtin.Grid(heights)).draw(OVERVIEW, Settings())
+
+
+def test_terrain_out_of_sight_can_be_drawn():
+    heights = np.full((9, 9), np.nan)
+    heights[:3, :3] = 1.0
+    terrain = Terrain(rtin.Grid(heights))
+    away = View((0.0, 0.0, 50.0), (90.0, -90.0, 99.0))
+    assert terrain.draw(away, Settings()).n_triangles > 0
+
+
+def test_nothing_but_terrain_has_a_page():
+    with pytest.raises(TypeError, match="a Grid or a TriangleMesh is wanted, got str"):
+        Terrain("hills")
+    with pytest.raises(TypeError, match="a Terrain is wanted, got Grid"):
+        pages.Page(hills(), port=0)
+
+
 def scene_of(grid, place, exaggeration):
     """All samples, as they lie in the scene."""
     row, col = np.indices(grid.shape)

@@ -13,6 +13,7 @@ from rtin.grid import Grid
 
 __all__ = [
     "as_count",
+    "as_exaggeration",
     "as_height",
     "as_tolerance_map",
     "as_zero_or_more",
@@ -20,6 +21,7 @@ __all__ = [
     "the_only_option",
 ]
 
+_LARGEST_EXAGGERATION = 1e6  # and one over it is the least
 MOST = int(np.iinfo(np.int64).max)  # no limit on a count
 
 
@@ -49,6 +51,14 @@ def as_zero_or_more(name: str, value: Any, unit: str) -> float:  # noqa: ANN401
     if not number >= 0.0:
         raise ValueError(f"{name} must be zero or more, {unit}, got {number}")
     return number
+
+
+def as_exaggeration(value: Any) -> float:  # noqa: ANN401
+    """Return what heights are multiplied by to be drawn; raise TypeError or ValueError."""
+    times = as_number("exaggeration", value)
+    if not 1.0 / _LARGEST_EXAGGERATION <= times <= _LARGEST_EXAGGERATION:
+        raise ValueError(f"exaggeration must be from 1e-06 to 1e+06, got {times:g}")
+    return times
 
 
 def as_count(name: str, value: Any) -> int:  # noqa: ANN401

@@ -39,7 +39,7 @@ from rtin._tolerance_search import ToleranceSearch, a_bit_finer
 from rtin.grid import Grid, as_floats, lattice_size, require_grid, require_heights
 from rtin.mesh import TriangleMesh
 
-__all__ = ["Frame", "LevelOfDetail", "frustum", "is_compiled"]
+__all__ = ["Frame", "LevelOfDetail", "as_point", "frustum", "is_compiled"]
 
 GROWTH = 1.03
 _ENDS_AHEAD = GROWTH**2  # the ends of an edge are two generations or more before its middle
@@ -199,6 +199,7 @@ class LevelOfDetail:
         field_of_view: float = 60.0,
         height: int = 1080,
         frustum: ArrayLike | None = None,
+        exaggeration: float = 1.0,
     ) -> TriangleMesh:
         """Return a conforming mesh for an eye, or for a tolerance or budget all over.
 
@@ -225,6 +226,9 @@ class LevelOfDetail:
         frustum : array_like, shape (n, 4), optional
             Planes, inside of all of which ``planes[:, :3] @ p + planes[:, 3] >= 0``: outside, the
             mesh is as coarse as can be. ``rtin.frustum`` makes those of a picture.
+        exaggeration : float
+            The picture shows heights times this, from 1e-6 to 1e6: eye and frustum, distances and
+            pixels are those of the terrain as it is drawn. The mesh has its heights unchanged.
 
         Returns
         -------
@@ -241,9 +245,8 @@ class LevelOfDetail:
             is in degrees (take ``grid.in_metres()``). Without one: if the budget is too small for
             the outline, or no three samples make a triangle; an eye may see none.
         """
-        view, name, value = self._asked(
-            eye, pixel_error, max_error, max_triangles, field_of_view, height, frustum
-        )
+        picture = (field_of_view, height, frustum, exaggeration)
+        view, name, value = self._asked(eye, pixel_error, max_error, max_triangles, *picture)
         mesh, _, _ = self._mesh_of(*self._kept(view, name, value))
         if eye is None and mesh.n_triangles == 0:
             raise ValueError(NO_TRIANGLE)
@@ -258,6 +261,7 @@ class LevelOfDetail:
         field_of_view: float = 60.0,
         height: int = 1080,
         frustum: ArrayLike | None = None,
+        exaggeration: float = 1.0,
     ) -> Frame:
         """Return a mesh for an eye, with what is needed to move from frame to frame smoothly.
 
@@ -274,9 +278,8 @@ class LevelOfDetail:
         """
         if eye is None:
             raise ValueError("a frame needs an eye: x, y, z; without one there is mesh(...)")
-        view, name, value = self._asked(
-            eye, pixel_error, None, max_triangles, field_of_view, height, frustum
-        )
+        picture = (field_of_view, height, frustum, exaggeration)
+        view, name, value = self._asked(eye, pixel_error, None, max_triangles, *picture)
         walked, tolerance = self._kept(
             view, name, value / _ENDS_AHEAD if name == "pixel_error" else value
         )
@@ -355,6 +358,7 @@ class LevelOfDetail:
         field_of_view: float,
         height: int,
         frustum: ArrayLike | None,
+        exaggeration: float,
     ) -> tuple[_View, str, float]:
         """Return the view, and name and value of the one option given."""
         if eye is None:
@@ -368,7 +372,7 @@ class LevelOfDetail:
             if max_triangles is None and pixel_error is None:
                 pixel_error = 1.0
             name, value = the_only_option(pixel_error=pixel_error, max_triangles=max_triangles)
-            view = self._view(eye, field_of_view, height, frustum)
+            view = self._view(eye, field_of_view, height, frustum, exaggeration)
         if name == "max_triangles":
             return view, name, _as_budget(value)
         if name == "pixel_error":
@@ -376,9 +380,17 @@ class LevelOfDetail:
         return view, name, as_height(name, value)
 
     def _view(
-        self, eye: ArrayLike, field_of_view: float, height: int, frustum: ArrayLike | None
+        self,
+        eye: ArrayLike,
+        field_of_view: float,
+        height: int,
+        frustum: ArrayLike | None,
+        exaggeration: float,
     ) -> _View:
-        """Return an eye and planes on the lattice."""
+        """Return an eye and planes on the lattice.
+
+        Cells so many times as small look as heights so many times as large, from nearer by.
+        """
         transform, crs = self._place
         if crs is not None and crs.is_geographic:
             raise ValueError(
@@ -393,16 +405,18 @@ class LevelOfDetail:
             raise ValueError(
                 f"height must be pixels of a picture of {field_of_view} degrees, got {height!r}"
             )
-        x, y, z = _as_point("eye", eye)
+        x, y, z = as_point("eye", eye)
+        times = as_exaggeration(exaggeration)
         a, b, x0, d, e, y0 = tuple(transform)[:6]
         axes = np.array([[b, a], [e, d]])  # x, y of a step along a column, and along a row
         row, col = np.linalg.solve(axes, (x - x0, y - y0))
-        place = np.array([row, col, z, *_lengths(axes), scale])
+        place = np.array([row, col, z / times, *_lengths(axes / times), scale])
         if frustum is None:
             return _View(place, _NO_PLANES)
         planes = _as_planes(frustum)
         offsets = planes[:, 3] + planes[:, 0] * x0 + planes[:, 1] * y0
-        return _View(place, np.column_stack([planes[:, :2] @ axes, planes[:, 2], offsets]))
+        slopes = planes[:, :2] @ axes
+        return _View(place, np.column_stack([slopes, times * planes[:, 2], offsets]))
 
     def _walk(self, view: _View, tolerance: float, most: int) -> _Walk:
         from rtin._kernels.lod import walk
@@ -509,8 +523,8 @@ def frustum(
         If a point is not three finite numbers, eye and target are one, ``up`` runs along the line
         between them, or an angle or aspect is impossible.
     """
-    place = _as_point("eye", eye)
-    forward = _as_point("target", target) - place
+    place = as_point("eye", eye)
+    forward = as_point("target", target) - place
     tangent = _half_tangent(field_of_view)
     across = as_number("aspect", aspect)
     if not 0.0 < across < math.inf:
@@ -518,7 +532,7 @@ def frustum(
     if not np.any(forward):
         raise ValueError(f"eye and target must be two points, both are {place.tolist()}")
     forward = _direction(forward)
-    right = np.cross(forward, _direction(_as_point("up", up)))
+    right = np.cross(forward, _direction(as_point("up", up)))
     if not np.linalg.norm(right) > 1e-12:
         raise ValueError(
             "up must not run along the line from eye to target; give another direction"
@@ -623,7 +637,8 @@ def _as_array(value: ArrayLike) -> NDArray[Any]:
         return np.asarray(value, object)
 
 
-def _as_point(name: str, value: ArrayLike) -> _Floats:
+def as_point(name: str, value: ArrayLike) -> _Floats:
+    """Return x, y, z; raise ValueError for anything but three finite numbers."""
     point = _as_array(value)
     if point.dtype.kind not in "fiu" or point.shape != (3,) or not np.isfinite(point).all():
         raise ValueError(f"{name} must be three finite numbers, x, y, z; got {value!r}")

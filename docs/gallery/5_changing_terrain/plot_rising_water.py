@@ -4,7 +4,7 @@ Rising water
 
 A lake rises in a valley: its surface is flat, at one level, wherever water can get from the deepest
 place. Each new level changes the lake and its shore only, and the lake itself takes a few large
-triangles.
+triangles. (What is below water is found with SciPy.)
 """
 
 import matplotlib.pyplot as plt

@@ -7,6 +7,7 @@ and float32 vertices are good to a hundred-thousandth of a unit. z is up.
 from __future__ import annotations
 
 import copy
+import math
 import os
 import time
 from dataclasses import dataclass, replace
@@ -227,29 +228,31 @@ class Terrain:
             if settings.max_error is None:
                 return self._lod.mesh(max_triangles=MOST_TRIANGLES), None
             return self._lod.mesh(max_error=settings.max_error), settings.max_error
-        # An error looks higher by the exaggeration; from as far away, or from further.
-        higher = max(settings.exaggeration, 1.0)
-        wanted: dict[str, Any] = {"pixel_error": settings.pixel_error / higher}
+        times = settings.exaggeration
+        points = self.place.into_world([view.eye, view.target], times)
+        eye, target = points * (1.0, 1.0, times)  # in the world as it is drawn
+        angle = max(view.field_of_view, min(_WIDER * view.field_of_view, _WIDEST))
+        planes = frustum(eye, target, field_of_view=angle, aspect=view.aspect, up=view.up)
+        wanted: dict[str, Any] = {"pixel_error": settings.pixel_error}
         if settings.mode == "triangle budget":
             wanted = {"max_triangles": settings.max_triangles}
         eye, planes = self._seen(view, settings.exaggeration)
         frame = self._lod.frame(
-            eye, **wanted, field_of_view=view.field_of_view, height=view.height, frustum=planes
+            eye,
+            **wanted,
+            field_of_view=view.field_of_view,
+            height=view.height,
+            frustum=planes,
+            exaggeration=times,
         )
-        return frame.morphed, frame.pixel_error * higher
+        if frame.mesh.n_triangles == 0:  # there is none in sight, or none at all: that is raised
+            return self._lod.mesh(max_error=math.inf), frame.pixel_error
+        return frame.morphed, frame.pixel_error
 
-    def _seen(self, view: View, exaggeration: float) -> tuple[_Floats, _Floats]:
-        """Return the eye in the world, and the planes around what it sees.
 
-        A plane of the world as it is drawn is one of the world, of another slope.
-        """
-        drawn = [self.place.into_world(point) for point in (view.eye, view.target)]
-        angle = max(view.field_of_view, min(_WIDER * view.field_of_view, _WIDEST))
-        planes = frustum(*drawn, field_of_view=angle, aspect=view.aspect, up=view.up)
-        middle = self.place.middle[2]
-        planes[:, 3] += planes[:, 2] * middle * (1.0 - exaggeration)
-        planes[:, 2] *= exaggeration
-        return self.place.into_world(view.eye, exaggeration), planes
+def pixels_of(view: View) -> float:
+    """Return the pixels of a length of 1 at a distance of 1, in the middle of a picture."""
+    return view.height / (2.0 * math.tan(math.radians(view.field_of_view) / 2.0))
 
 
 def _shorter(settings: Settings) -> Settings:
