@@ -18,8 +18,10 @@ from rtin import _tint
 from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.viewer import _photos, colours
+from rtin.viewer.cameras import overlook
 from rtin.viewer.colours import Drape, by_error, by_height, hillshade, orthophoto
 from rtin.viewer.opening import Opening
+from rtin.viewer.scene import Settings, Terrain
 from test_opening import PLACE, TURNED, places, terrain, with_overviews
 from test_read_grid import one_line, write_raster
 
@@ -157,8 +159,44 @@ def test_the_error_shown_darkest_can_be_chosen():
     grid = Grid(terrain(65, 65))
     mesh = rtin.coarsen(grid, max_error=50.0)
     error = colours.vertex_differences(mesh, grid)
-    shares = np.log10(np.maximum(error, 0.1) / 0.1) / 3.0
-    np.testing.assert_allclose(by_error(grid, 100.0)(mesh), _tint.heat(shares), atol=1e-9)
+    paint = by_error(grid, 100.0)
+    np.testing.assert_allclose(paint(mesh), _tint.heat(error / 100.0), atol=1e-9)
+    np.testing.assert_array_equal(paint.within(7.0)(mesh), paint(mesh))
+
+
+def test_the_largest_error_is_darkest_unless_there_is_a_tolerance():
+    grid = Grid(terrain(65, 65))
+    mesh = rtin.coarsen(grid, max_error=50.0)
+    error = colours.vertex_differences(mesh, grid)
+    paint = by_error(grid)
+    np.testing.assert_allclose(paint(mesh), _tint.heat(error / error.max()), atol=1e-9)
+    for allowed in (50.0, np.linspace(0.0, 90.0, mesh.n_vertices)[::-1]):
+        with np.errstate(divide="ignore"):
+            expected = _tint.heat(error / allowed)
+        np.testing.assert_allclose(paint.within(allowed)(mesh), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [Settings(pixel_error=4.0, exaggeration=3.0), Settings("triangle budget", max_triangles=300),
+     Settings("tolerance", max_error=30.0)],
+    ids=lambda chosen: chosen.mode,
+)  # fmt: skip
+def test_in_a_picture_what_is_allowed_is_darkest(chosen):
+    grid = Grid(terrain(65, 65), PLACE)
+    shows = Terrain(grid, painters={"error": by_error(grid)})
+    view = overlook(shows, chosen.exaggeration)
+    shown = shows.shown(view, chosen)
+    errors = colours.vertex_differences(shown.mesh, grid)
+    shares = errors / shown.painter.allowed
+    assert 0.5 < shares.max() <= 1.02  # a vertex is a little nearer or further than its samples
+    np.testing.assert_allclose(shown.painter(shown.mesh), _tint.heat(shares), atol=1e-9)
+    if chosen.mode != "tolerance":
+        depth = np.linalg.norm(shown.vertices - view.eye, axis=1)
+        drawn = shown.painter.allowed * shows.place.scale * chosen.exaggeration
+        pixels = 1080 / 2 / np.tan(np.radians(30.0)) * drawn / depth
+        np.testing.assert_allclose(pixels, pixels[0])
+        assert chosen.mode == "triangle budget" or pixels[0] == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize("most", [0.0, -1.0, np.inf, np.nan])

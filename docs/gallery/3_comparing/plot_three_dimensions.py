@@ -40,11 +40,11 @@ show(
 )
 
 # %%
-# How far that mesh is from the raster: darker where it is more, 0.1 m to 100 m. What is far away may
-# be off by more.
+# How far that mesh is from the raster, of what it may be: pale where it is exact, nearly black where
+# it is off by all of the four pixels. What is far away may be off by more metres.
 
 show(
-    Terrain(grid, painters={"error": by_error(grid, most=100.0)}),
+    Terrain(grid, painters={"error": by_error(grid)}),
     Settings(pixel_error=4.0, colours="error", exaggeration=2.0),
     "the error that four pixels allow",
 )

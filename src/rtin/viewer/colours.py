@@ -17,6 +17,7 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _tint
+from rtin._number import as_positive
 from rtin._raster import moved, widened
 from rtin.grid import Grid, places_in, require_grid
 from rtin.mesh import TriangleMesh
@@ -24,7 +25,7 @@ from rtin.viewer._film import picture_before_film
 from rtin.viewer._photos import Photo
 from rtin.viewer.opening import Opened
 
-__all__ = ["Drape", "Painter", "by_error", "by_height", "hillshade", "orthophoto"]
+__all__ = ["Drape", "ErrorColours", "Painter", "by_error", "by_height", "hillshade", "orthophoto"]
 
 _Floats = NDArray[np.float64]
 Painter = Callable[[TriangleMesh], _Floats]
@@ -32,8 +33,6 @@ Painter = Callable[[TriangleMesh], _Floats]
 _LONGEST = 2048  # pixels of a drape, along its longer side: a GLB with it takes about 1 MB more
 _QUALITY = 90
 _GREY = 160
-_OF_THE_RANGE = 0.01  # of heights: the error shown darkest
-_FAINTEST = 1e-3  # of that: the error that begins to show
 _AT_A_SAMPLE = 1e-3  # of a cell
 
 
@@ -100,7 +99,31 @@ def by_height(low: float, high: float) -> Painter:
     return lambda mesh: _tint.tint(mesh.vertices[:, 2], low, high)
 
 
-def by_error(grid: Grid, most: float | None = None) -> Painter:
+@dataclass(frozen=True, eq=False)
+class ErrorColours:
+    """A painter of errors: pale for none, red and nearly black for as much as is allowed.
+
+    ``allowed`` is in the heights' unit, one for all vertices or one for each; None is the largest
+    error of the mesh that is painted.
+    """
+
+    grid: Grid
+    allowed: float | _Floats | None = None
+
+    def within(self, allowed: float | _Floats) -> ErrorColours:
+        """Return the painter for what a mesh was asked to keep; a choice made before stays."""
+        return self if self.allowed is not None else ErrorColours(self.grid, allowed)
+
+    def __call__(self, mesh: TriangleMesh) -> _Floats:
+        """Return colours in 0..1, shape (n, 3), for the vertices of a mesh."""
+        errors = vertex_differences(mesh, self.grid)
+        allowed = errors.max(initial=0.0) if self.allowed is None else self.allowed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.nan_to_num(errors / allowed, posinf=1.0)  # 0 / 0: exact, as was asked
+        return _tint.heat(shares)
+
+
+def by_error(grid: Grid, most: float | None = None) -> ErrorColours:
     """Return what colours vertices by how far a mesh cut from ``grid`` is from its heights there.
 
     For each triangle two samples are looked at, where there are any: in the middle of its longest
@@ -112,8 +135,9 @@ def by_error(grid: Grid, most: float | None = None) -> Painter:
     ----------
     grid : Grid
     most : float, optional
-        The error shown darkest; what is less than a thousandth of it is not shown. By default a
-        hundredth of the range of heights. Between the two, colours follow its logarithm.
+        The error shown darkest. By default a page and its pictures take what the mesh was asked to
+        keep: the tolerance, or what the pixel error is at each vertex's distance; without
+        either it is the largest error of the mesh.
 
     Raises
     ------
@@ -122,17 +146,10 @@ def by_error(grid: Grid, most: float | None = None) -> Painter:
     ValueError
         If ``most`` is not more than zero.
     """
-    heights = require_grid(grid).heights
-    if most is None:
-        most = _OF_THE_RANGE * float(np.nanmax(heights) - np.nanmin(heights)) or 1.0
-    if not 0.0 < most < np.inf:
-        raise ValueError(f"most must be more than zero, in the heights' unit, got {most!r}")
-
-    def paint(mesh: TriangleMesh) -> _Floats:
-        errors = np.maximum(vertex_differences(mesh, grid), _FAINTEST * most)
-        return _tint.heat(1.0 - np.log(errors / most) / np.log(_FAINTEST))
-
-    return paint
+    require_grid(grid)
+    if most is not None:
+        most = as_positive("most", most, ", in the heights' unit")
+    return ErrorColours(grid, most)
 
 
 def vertex_differences(mesh: TriangleMesh, grid: Grid) -> _Floats:

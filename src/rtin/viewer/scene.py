@@ -17,13 +17,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtin import _tint
-from rtin._raster import extent
 from rtin.grid import Grid
 from rtin.io import _gltf
 from rtin.lod import LevelOfDetail, frustum
 from rtin.mesh import TriangleMesh
 from rtin.viewer._film import BRIGHTNESS, before_film
-from rtin.viewer.colours import Drape, Painter, by_error, by_height, hillshade, orthophoto
+from rtin.viewer.colours import (
+    Drape,
+    ErrorColours,
+    Painter,
+    by_error,
+    by_height,
+    hillshade,
+    orthophoto,
+)
 from rtin.viewer.opening import Opened
 
 __all__ = [
@@ -155,6 +162,11 @@ class Terrain:
         the mesh that is drawn, and "height".
     note : str
         What there is to be seen, in one line.
+
+    Raises
+    ------
+    TypeError
+        If ``surface`` is something else.
     """
 
     def __init__(
@@ -165,6 +177,8 @@ class Terrain:
         painters: dict[str, Painter] | None = None,
         note: str = "",
     ) -> None:
+        if not isinstance(surface, Grid | TriangleMesh):
+            raise TypeError(f"a Grid or a TriangleMesh is wanted, got {type(surface).__name__}")
         self.note = note
         self.bounds = surface.bounds
         self.place = place or Place.of(self.bounds)
@@ -200,9 +214,10 @@ class Terrain:
         mesh, kept = self._cut(view, settings)
         is_cut_short = self.has_levels and mesh.n_triangles > MOST_TRIANGLES
         if is_cut_short:
-            mesh, kept = self._cut(view, _shorter(settings))
+            settings = _shorter(settings)
+            mesh, kept = self._cut(view, settings)
         cut = time.perf_counter()
-        shown = self._placed(mesh, settings)
+        shown = self._placed(mesh, kept, view, settings)
         lift = LIFT * float(np.linalg.norm(np.subtract(view.eye, view.target)))
         data = _glb(shown, lift)
         done = time.perf_counter()
@@ -211,12 +226,20 @@ class Terrain:
 
     def shown(self, view: View, settings: Settings) -> Shown:
         """Return what a view shows of the terrain, however many triangles that takes."""
-        return self._placed(self._cut(view, settings)[0], settings)
+        return self._placed(*self._cut(view, settings), view, settings)
 
-    def _placed(self, mesh: TriangleMesh, settings: Settings) -> Shown:
+    def _placed(
+        self, mesh: TriangleMesh, kept: float | None, view: View, settings: Settings
+    ) -> Shown:
         paint = self.painters.get(settings.colours) or next(iter(self.painters.values()))
         vertices = self.place.into_scene(mesh.vertices, settings.exaggeration)
         edges = mesh.edges() if settings.wireframe else None
+        if isinstance(paint, ErrorColours) and kept is not None:
+            if settings.mode != "tolerance":
+                distances = np.linalg.norm(vertices - view.eye, axis=1)
+                height = self.place.scale * settings.exaggeration
+                kept = kept * distances / (pixels_of(view) * height)
+            paint = paint.within(kept)
         return Shown(mesh, vertices, paint, edges)
 
     def _cut(self, view: View, settings: Settings) -> tuple[TriangleMesh, float | None]:
@@ -236,7 +259,6 @@ class Terrain:
         wanted: dict[str, Any] = {"pixel_error": settings.pixel_error}
         if settings.mode == "triangle budget":
             wanted = {"max_triangles": settings.max_triangles}
-        eye, planes = self._seen(view, settings.exaggeration)
         frame = self._lod.frame(
             eye,
             **wanted,
