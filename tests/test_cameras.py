@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import rtin
 from rtin.viewer import cameras
 from rtin.viewer.pictures import as_terrain
-from rtin.viewer.scene import SIDE, Place, Settings, Terrain, bounds_of
+from rtin.viewer.scene import SIDE, Place, Settings, Terrain, View
 
 
 def rough(shape=(40, 65), seed=3, step=25.0, roughness=200.0):
@@ -42,6 +42,47 @@ def on_screen(view, points):
 def corners_of(terrain, exaggeration):
     corners = np.array(np.meshgrid(*terrain.bounds.T)).reshape(3, -1).T
     return terrain.place.into_scene(corners, exaggeration)
+
+
+@pytest.mark.parametrize(
+    ("eye", "target", "message"),
+    [((0, 0, np.nan), (1, 1, 1), "eye must be three finite numbers"),
+     ((0, 0, 1), (1, 1), "target must be three finite numbers"),
+     ((1, 2, 3), (1.0, 2.0, 3.0), "eye and target must be two points")],
+)  # fmt: skip
+def test_a_view_needs_two_points(eye, target, message):
+    with pytest.raises(ValueError, match=message):
+        cameras.seen_from(Terrain(rough()).place, eye, target)
+
+
+@pytest.mark.parametrize("exaggeration", [0.2, 5.0])
+@given(st.floats(0.0, 360.0), st.floats(-80.0, 80.0))
+def test_what_is_not_in_sight_is_nowhere_on_the_screen(exaggeration, turn, down):
+    terrain = Terrain(rough())
+    turn, down = np.radians(turn), np.radians(down)
+    eye = np.array([0.0, -120.0, 30.0])
+    ahead = np.array([np.sin(turn), np.cos(turn), -np.sin(down)])
+    view = View(tuple(eye), tuple(eye + 10.0 * ahead))
+    samples = terrain.place.into_scene(corners_of_cells(rough()), exaggeration)
+    planes = rtin.frustum(view.eye, view.target, aspect=view.aspect)
+    is_seen = (samples @ planes[:, :3].T + planes[:, 3] >= 0.0).all(axis=1).any()
+    assert cameras.is_in_sight(terrain, view, exaggeration) >= is_seen
+
+
+def test_what_is_behind_and_beside_is_out_of_sight():
+    terrain = Terrain(rough())
+    eye = (0.0, -120.0, 30.0)
+    for target, is_in_sight in (
+        ((0.0, 0.0, 0.0), True), ((0.0, -220.0, 30.0), False), ((100.0, -121.0, 30.0), False),
+        ((0.0, -110.0, 90.0), False),
+    ):  # fmt: skip
+        assert cameras.is_in_sight(terrain, View(eye, target)) == is_in_sight
+
+
+def corners_of_cells(grid):
+    row, col = np.indices(grid.shape)
+    a, _, x, _, e, y = tuple(grid.transform)[:6]
+    return np.column_stack([(x + a * col).ravel(), (y + e * row).ravel(), grid.heights.ravel()])
 
 
 @pytest.mark.parametrize("exaggeration", [0.2, 1.0, 5.0])

@@ -449,12 +449,35 @@ def test_what_can_draw_is_found_without_a_screen(display):
     [(Settings("tolerence"), "mode must be .*'tolerance', got 'tolerence'"),
      (Settings(colours="pink"), "colours must be .*'height'.*, got 'pink'"),
      (Settings(pixel_error=0.0), "pixel_error must be more than zero, got 0.0"),
-     (Settings(exaggeration=-1.0), "exaggeration must be more than zero, got -1.0"),
+     (Settings(exaggeration=-1.0), "exaggeration must be from .*, got -1"),
      (Settings(max_triangles=0), "max_triangles must be more than zero, got 0")],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(terrain, settings, wanted):
     with pytest.raises(ValueError, match=wanted):
         pictures.picture(terrain, settings=settings, size=SMALL)
+
+
+@needs_renderer
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [({"settings": {}}, "settings must be a Settings, got dict"),
+     ({"view": (0.0, 0.0, 1.0)}, "view must be a View, got tuple")],
+)  # fmt: skip
+def test_what_is_no_view_and_no_settings_is_refused(terrain, options, wanted):
+    with pytest.raises(TypeError, match=wanted):
+        pictures.picture(terrain, **options)
+
+
+def test_what_is_no_film_is_refused(terrain, tmp_path):
+    view = cameras.overlook(terrain)
+    for views, options, wanted in (
+        ([view, 1], {}, "a view must be a View, got int"),
+        (iter([view]), {"settings": 2}, "settings must be a Settings, got int"),
+        ([view], {"frames_per_second": "a"}, "frames_per_second must be a number, got 'a'"),
+    ):
+        with pytest.raises(TypeError, match=wanted):
+            pictures.record(terrain, tmp_path / "a.gif", views, **options)
+    assert list(tmp_path.iterdir()) == []
 
 
 @needs_renderer
@@ -503,7 +526,30 @@ def test_a_film_is_refused_a_fixed_eye(tmp_path):
     film = ["--record", str(tmp_path / "a.gif")]
     result = CliRunner().invoke(app, ["view", "missing.npy", *film, *points])
     assert result.exit_code == 2
-    assert "--eye and --target are for --snapshot" in result.output
+    assert "--eye is for --snapshot" in result.output
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [("--target 1,2,3", "--target is for --snapshot"),
+     ("--snapshot a.png --path flight", "--path is for --record"),
+     ("--snapshot a.png --frames 9", "--frames is for --record"),
+     ("--size 9x9", "--size is for --snapshot and --record"),
+     ("--record a.gif --port 0", "--port is for the page"),
+     ("--record a.gif --host ::1", "--host is for the page"),
+     ("--snapshot a.png --no-browser", "--no-browser is for the page"),
+     ("--snapshot a.png --eye nan,1,2 --target 0,0,0", "--eye must be three numbers"),
+     ("--snapshot a.png --eye 1,2 --target 0,0,0", "--eye must be three numbers"),
+     ("--snapshot a.png --eye 1,2,3 --target 0,inf,0", "--target must be three numbers"),
+     ("--snapshot a.png --eye 1,2,3 --target 1,2,3.0", "must be two points"),
+     ("--max-triangles 1", "--max-triangles must be at least 2, got 1"),
+     ("--exaggeration 1e300", "exaggeration must be from 1e-06 to 1e+06"),
+     ("--exaggeration 0", "exaggeration must be from")],
+)  # fmt: skip
+def test_what_cannot_be_meant_is_bad_usage(options, told):
+    result = CliRunner().invoke(app, ["view", "missing.npy", *options.split()])
+    assert result.exit_code == 2
+    assert told in " ".join(result.output.replace("│", " ").split())
 
 
 @pytest.mark.parametrize(
@@ -519,7 +565,7 @@ def test_a_mesh_is_refused_what_is_for_rasters(option):
 
 
 @needs_renderer
-@pytest.mark.parametrize(("flatter", "told"), [("1", True), ("0.1", False)])
+@pytest.mark.parametrize(("flatter", "told"), [("1", True), ("9", True), ("0.1", False)])
 def test_heights_that_make_a_needle_are_pointed_out(tmp_path, flatter, told):
     np.save(tmp_path / "dem.npy", np.pad([[100.0]], 8))
     command = ["view", str(tmp_path / "dem.npy"), "--snapshot", str(tmp_path / "a.png")]
@@ -528,6 +574,38 @@ def test_heights_that_make_a_needle_are_pointed_out(tmp_path, flatter, told):
     assert result.exit_code == 0, result.output
     assert ("range over 100, x and y over 16 " in result.output) == told
     assert ("--exaggeration 0.03 flattens" in result.output) == told
+
+
+@needs_renderer
+def test_a_needle_that_was_asked_for_is_not_pointed_out(tmp_path):
+    np.save(tmp_path / "dem.npy", np.pad([[10.0]], 8))
+    command = ["view", str(tmp_path / "dem.npy"), "--snapshot", str(tmp_path / "a.png")]
+    result = CliRunner().invoke(app, [*command, "--size", "160x90", "--exaggeration", "20"])
+    assert result.exit_code == 0, result.output
+    assert "units" not in result.output
+
+
+@needs_renderer
+@pytest.mark.parametrize(("target", "told"), [("8,-8,0", False), ("-8,8,0", True)])
+def test_an_eye_that_sees_nothing_is_told_where_the_terrain_is(tmp_path, target, told):
+    np.save(tmp_path / "dem.npy", np.pad([[10.0]], 8))
+    command = ["view", str(tmp_path / "dem.npy"), "--snapshot", str(tmp_path / "a.png")]
+    more = ["--size", "160x90", "--eye=-5,5,3", f"--target={target}"]
+    result = CliRunner().invoke(app, [*command, *more])
+    assert result.exit_code == 0, result.output
+    assert ("nothing of dem.npy is in" in result.output) == told
+    assert ("it lies within 0,-16,0 to 16,0,10" in result.output) == told
+
+
+@needs_renderer
+def test_samples_without_a_triangle_are_told_instead_of_drawn(tmp_path):
+    np.save(tmp_path / "dem.npy", np.pad([[10.0]], 4, constant_values=np.nan))
+    out = tmp_path / "a.png"
+    command = ["view", str(tmp_path / "dem.npy"), "--snapshot", str(out)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 1
+    assert "the grid has no triangle to keep" in result.output
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("flag", [("--snapshot", "a.png"), ("--record", "a.gif")])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import webbrowser
 from contextlib import ExitStack
@@ -66,7 +67,10 @@ def view(
         Path | None,
         typer.Option(metavar="FILM", help="Write an .mp4 or .gif instead of serving a page."),
     ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Of pictures, in pixels.")] = "1280x720",
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WxH", help="Of pictures, in pixels.  [default: 1280x720]"),
+    ] = None,
     eye: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Take the picture from there.")
     ] = None,
@@ -74,11 +78,21 @@ def view(
         str | None, typer.Option(metavar="X,Y,Z", help="What the eye looks at.")
     ] = None,
     path_of_film: Annotated[
-        Literal["orbit", "flight"], typer.Option("--path", help="Of the camera in a film.")
-    ] = "orbit",
-    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of a film.")] = 150,
-    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0: all.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 8080,
+        Literal["orbit", "flight"] | None,
+        typer.Option("--path", help="Of the camera in a film.  [default: orbit]"),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Pictures of a film.  [default: 150]"),
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(help="Address to listen at; 0.0.0.0: all.  [default: 127.0.0.1]"),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="0: any that is free.  [default: 8080]"),
+    ] = None,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only say where the page is.")
     ] = False,
@@ -93,8 +107,14 @@ def view(
         from rtin.io.meshes import is_mesh_path
         from rtin.viewer.opening import Opening
 
-        if snapshot is None and (eye is not None or target is not None):
-            raise typer.BadParameter("--eye and --target are for --snapshot")
+        is_page = snapshot is None and record is None
+        _require_use("--eye", eye, "--snapshot", snapshot is not None)
+        _require_use("--target", target, "--snapshot", snapshot is not None)
+        _require_use("--path", path_of_film, "--record", record is not None)
+        _require_use("--frames", frames, "--record", record is not None)
+        _require_use("--size", size, "--snapshot and --record", not is_page)
+        for flag, value in {"--host": host, "--port": port, "--no-browser": no_browser}.items():
+            _require_use(flag, value, "the page, not for --snapshot and --record", is_page)
         if colours == "orthophoto" and photo is None:
             raise typer.BadParameter("--colours orthophoto needs --orthophoto IMAGE")
         if is_mesh_path(path):
@@ -112,9 +132,9 @@ def view(
             _settings(pixel_error, max_triangles, max_error, exaggeration, colours or usual),
             wireframe=wireframe,
         )
-        if snapshot is not None or record is not None:
-            points = _points(eye, target)
-            out = _Out(snapshot, record, _size(size), points, path_of_film, frames)
+        if not is_page:
+            film = path_of_film or "orbit", frames or 150
+            out = _Out(snapshot, record, _size(size or "1280x720"), _points(eye, target), *film)
             _require_possible(out)
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             _draw(opening, path.name, photo, settings, out)
@@ -125,7 +145,8 @@ def view(
             opening = stack.enter_context(Opening(path, band=band, encoding=encoding))
             first = opening.first()
         terrain = _prepared(first, path.name, photo, exaggeration)
-        page = stack.enter_context(Page(terrain, host, port, settings=settings, title=path.name))
+        listener = host or "127.0.0.1", 8080 if port is None else port
+        page = stack.enter_context(Page(terrain, *listener, settings=settings, title=path.name))
         _go_on(opening, page, path.name, photo)
         if not no_browser:
             webbrowser.open(page.address)
@@ -173,6 +194,8 @@ def _draw(opening: Opening, name: str, photo: Path | None, settings: Settings, o
         if out.points is not None:
             eye, target = (opened.from_crs(point) for point in out.points)
             view = cameras.seen_from(place, eye, target, higher)
+            if not cameras.is_in_sight(terrain, view, higher, out.size[0] / out.size[1]):
+                say(f"nothing of {name} is in {out.snapshot}: it lies within {_within(opened)}")
         with progress(f"drawing {out.snapshot}"):
             pictures.snapshot(terrain, out.snapshot, view, settings=settings, size=out.size)
         announce(f"{out.snapshot}: {out.size[0]} × {out.size[1]} pixels")
@@ -199,6 +222,19 @@ def _go_on(opening: Opening, page: Page, name: str, photo: Path | None) -> None:
     opening.go_on(lambda finer: page.replace(_terrain(finer, photo, place)), give_up)
 
 
+def _within(opened: Opened) -> str:
+    """Return the bounds of a terrain, in its CRS."""
+    corners = zip(opened.bounds.tolist(), opened.surface.bounds[:, 2].tolist(), strict=True)
+    points = (opened.into_crs((x, y, z)) for (x, y), z in corners)
+    return " to ".join(",".join(f"{value:.10g}" for value in point) for point in points)
+
+
+def _require_use(flag: str, value: object, what_for: str, is_used: bool) -> None:
+    """Refuse a flag that has been given and changes nothing."""
+    if value is not None and value is not False and not is_used:
+        raise typer.BadParameter(f"{flag} is for {what_for}")
+
+
 def _require_none_for_a_mesh(path: Path, given: dict[str, bool]) -> None:
     """Refuse flags that say how to read or to coarsen a raster."""
     for flag, is_given in given.items():
@@ -210,7 +246,7 @@ def _say_if_a_needle(name: str, terrain: Terrain, exaggeration: float) -> None:
     """Point out heights in another unit than x and y, as those of most tiles without a CRS."""
     width, depth, height = (terrain.bounds[1] - terrain.bounds[0]).tolist()
     wide = max(width, depth)
-    if exaggeration * height > wide:
+    if min(exaggeration, 1.0) * height > wide:  # not only by what was asked for
         say(
             f"{name}: heights range over {height:.4g}, x and y over {wide:.4g} at most; "
             f"are the units the same? --exaggeration {0.2 * wide / height:.1g} flattens it"
@@ -230,14 +266,19 @@ def _points(eye: str | None, target: str | None) -> tuple[_Point, _Point] | None
         return None
     if eye is None or target is None:
         raise typer.BadParameter("give both --eye and --target, or neither")
-    return _point("--eye", eye), _point("--target", target)
+    points = _point("--eye", eye), _point("--target", target)
+    if points[0] == points[1]:
+        raise typer.BadParameter(f"--eye and --target must be two points, both are {eye}")
+    return points
 
 
 def _point(flag: str, text: str) -> _Point:
     try:
         x, y, z = map(float, text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"{flag} must be three numbers, x,y,z; got {text!r}") from None
+        x = y = z = math.nan
+    if not all(map(math.isfinite, (x, y, z))):
+        raise typer.BadParameter(f"{flag} must be three numbers, x,y,z; got {text!r}")
     return x, y, z
 
 
@@ -265,13 +306,16 @@ def _settings(
     colours: str,
 ) -> Settings:
     """Return what clients begin with; refuse what no mesh can be asked for."""
+    from rtin._options import as_exaggeration
     from rtin.viewer.scene import Settings
 
     if sum(chosen is not None for chosen in (pixel_error, max_triangles, max_error)) > 1:
         raise typer.BadParameter("give one of --pixel-error, --max-triangles and --max-error")
     require_positive("--pixel-error", pixel_error)
-    require_positive("--max-triangles", max_triangles)
-    require_positive("--exaggeration", exaggeration)
+    if max_triangles is not None and max_triangles < 2:
+        raise typer.BadParameter(f"--max-triangles must be at least 2, got {max_triangles}")
+    with values_are_usage():
+        as_exaggeration(exaggeration)
     if max_error is not None and not 0.0 <= max_error < float("inf"):
         raise typer.BadParameter(f"--max-error must be zero or more, got {max_error}")
     common: dict[str, Any] = {

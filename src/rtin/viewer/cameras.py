@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtin._options import as_count
 from rtin.grid import Grid
+from rtin.lod import as_point, frustum
 from rtin.mesh import TriangleMesh
 from rtin.viewer._from_above import sampled
 from rtin.viewer.scene import SIDE, Place, Terrain, View
 
-__all__ = ["flight", "orbit", "overlook", "seen_from"]
+__all__ = ["flight", "is_in_sight", "orbit", "overlook", "seen_from"]
 
 _Floats = NDArray[np.float64]
 _LOOP = 0.34 * SIDE  # half the width of the figure of eight of a flight
@@ -48,13 +49,29 @@ def overlook(
 def seen_from(place: Place, eye: ArrayLike, target: ArrayLike, exaggeration: float = 1.0) -> View:
     """Return the view from one point of the world to another, both x, y, z.
 
-    Heights are up in the picture; y is, where it looks straight down or up.
+    Heights are up in the picture; y is, where it looks straight down or up. Raises ValueError where
+    a point is not three finite numbers, or both are one.
     """
-    points = place.into_scene(np.array([eye, target], np.float64), exaggeration)
+    eye, target = as_point("eye", eye), as_point("target", target)
+    if np.array_equal(eye, target):
+        raise ValueError(f"eye and target must be two points, both are {eye.tolist()}")
+    points = place.into_scene(np.array([eye, target]), exaggeration)
     across, deep = np.hypot(*(points[1] - points[0])[:2]), abs(points[1, 2] - points[0, 2])
     up = (0.0, 1.0, 0.0) if across < _UPRIGHT * deep else View.up
     first, last = points.tolist()
     return View(tuple(first), tuple(last), up)
+
+
+def is_in_sight(
+    terrain: Terrain, view: View, exaggeration: float = 1.0, aspect: float = 16.0 / 9.0
+) -> bool:
+    """Return whether a terrain's bounds reach into a view; False where it sees nothing of it."""
+    planes = frustum(
+        view.eye, view.target, field_of_view=view.field_of_view, aspect=aspect, up=view.up
+    )
+    low, high = _box(terrain, exaggeration)
+    nearest = np.where(planes[:, :3] > 0.0, high, low)  # to the inside of each plane
+    return bool((np.sum(planes[:, :3] * nearest, axis=1) + planes[:, 3] >= 0.0).all())
 
 
 def orbit(

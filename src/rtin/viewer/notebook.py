@@ -20,11 +20,10 @@ import numpy as np
 from affine import Affine
 
 from rtin import _tint
-from rtin._options import as_count
+from rtin._options import as_count, as_exaggeration
 from rtin._raster import widened
 from rtin.coarsening import coarsen
 from rtin.grid import Grid
-from rtin.io._numbers import as_positive
 from rtin.io.meshes import page_of, require_shape
 from rtin.mesh import TriangleMesh
 from rtin.viewer._from_above import heights_on, lattice_over, sampled
@@ -56,7 +55,7 @@ def show(
     surface : Grid or TriangleMesh
         A mesh is shown as it is, a grid as the best mesh within ``max_triangles``.
     exaggeration : float
-        What heights are multiplied by; more than zero.
+        What heights are multiplied by, from 1e-6 to 1e6.
     max_triangles : int, optional
         A mesh of more triangles is shown as the best mesh within that many of its own heights
         on a lattice, and the page says so. By default 50 000 in a notebook, which grows by 2.5 MB,
@@ -75,7 +74,7 @@ def show(
         raise TypeError(f"a Grid or a TriangleMesh is wanted, got {type(surface).__name__}")
     if isinstance(surface, TriangleMesh):
         require_shape(surface)
-    exaggeration = as_positive("exaggeration", exaggeration)
+    exaggeration = as_exaggeration(exaggeration)
     is_cell = _is_in_notebook()
     if max_triangles is None:
         max_triangles = _IN_A_CELL if is_cell else _IN_A_PAGE

@@ -78,6 +78,12 @@ class Opened:
         x, y = np.linalg.solve([[a, b], [d, e]], [point[0] - x0, point[1] - y0]).tolist()
         return x, y, point[2]
 
+    def into_crs(self, point: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return x, y and z in the CRS of the file for a point of the surface."""
+        a, b, x0, d, e, y0 = tuple(self.to_crs)[:6]
+        x, y, z = point
+        return a * x + b * y + x0, d * x + e * y + y0, z
+
 
 class Opening:
     """A raster or a mesh that is being opened; a context, which ends that.

@@ -240,6 +240,8 @@ class Page:
     ------
     OSError
         If the port is taken or may not be used, or there is no such host.
+    TypeError
+        If ``terrain`` is something else.
     ValueError
         If the port is not one from 0 to 65535.
     """
@@ -253,6 +255,8 @@ class Page:
         settings: Settings | None = None,
         title: str = "rtin",
     ) -> None:
+        if not isinstance(terrain, Terrain):
+            raise TypeError(f"a Terrain is wanted, got {type(terrain).__name__}; Terrain(grid)")
         self.terrain = terrain
         self.settings = settings or Settings()
         self.visitors: dict[int, Visitor] = {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtin._atomic import replacing, require_place
-from rtin._options import require_word
+from rtin._number import as_number, as_positive
+from rtin._options import as_exaggeration, require_word
 from rtin.grid import Grid
-from rtin.io._numbers import as_positive
 from rtin.mesh import TriangleMesh
 from rtin.viewer._offscreen import require_renderer
 from rtin.viewer.cameras import overlook
@@ -92,6 +92,8 @@ def picture(
     TypeError, ValueError
         If the source, size or settings are wrong ones.
     """
+    _require_kind("view", view, View)
+    _require_kind("settings", settings, Settings)
     with _Stage(size) as stage:
         terrain, settings = as_terrain(source), settings or Settings()
         first = overlook(terrain, settings.exaggeration, size[0] / size[1])
@@ -122,7 +124,7 @@ def snapshot(
 def record(
     source: _Source | Iterable[_Source],
     path: str | os.PathLike[str],
-    views: Sequence[View],
+    views: Iterable[View],
     *,
     settings: Settings | None = None,
     size: tuple[int, int] = SIZE,
@@ -136,7 +138,7 @@ def record(
     source : Grid, TriangleMesh, Terrain, or an iterable of them
         What is seen: one terrain all the time, or another one in each view.
     path : path-like
-    views : sequence of View
+    views : iterable of View
         One for each picture of the film.
     settings, size
         As for ``picture``; an .mp4 has even numbers of pixels, rounded down.
@@ -157,9 +159,12 @@ def record(
     """
     require_film_path(path)
     _require_rate(path, frames_per_second)
-    size = film_size(path, size)
+    size, views = film_size(path, size), list(views)
     if len(views) == 0:
         raise ValueError("a film needs at least one view, got none")
+    for view in views:
+        _require_kind("a view", view, View)
+    _require_kind("settings", settings, Settings)
     settings, terrains = settings or Settings(), _one_each(source)
     with replacing(path) as part, _Stage(size) as stage, _film(part, frames_per_second) as film:
         for done, view in enumerate(views, 1):
@@ -235,8 +240,9 @@ def _require_possible(settings: Settings, terrain: Terrain) -> None:
     require_word("mode", settings.mode, get_args(Mode))
     if settings.colours != Settings.colours:
         require_word("colours", settings.colours, terrain.painters)
-    for name in ("pixel_error", "max_triangles", "exaggeration"):
+    for name in ("pixel_error", "max_triangles"):
         as_positive(name, getattr(settings, name))
+    as_exaggeration(settings.exaggeration)
 
 
 class _Stage:
@@ -309,9 +315,14 @@ class _Stage:
         self._plotter.close()
 
 
+def _require_kind(name: str, value: object, kind: type) -> None:
+    if value is not None and not isinstance(value, kind):
+        raise TypeError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+
+
 def _require_rate(path: str | os.PathLike[str], frames_per_second: float) -> None:
     most = _FASTEST_GIF if Path(path).suffix.lower() == ".gif" else _FASTEST
-    if not 0.0 < frames_per_second <= most:
+    if not 0.0 < as_number("frames_per_second", frames_per_second) <= most:
         raise ValueError(
             f"frames_per_second must be more than zero and at most {most:g} for "
             f"{os.fspath(path)}, got {frames_per_second!r}"
